@@ -1,0 +1,72 @@
+//! What travels between processes: fixed-layout headers and plain payload items.
+//!
+//! Every header is `repr(C)`, has explicit padding, and carries a versioned type name: a layout change needs
+//! a new number, because shared memory compares names and sizes, not fields. `layout` tests pin every offset.
+
+mod chunk;
+mod descriptor;
+mod event;
+mod frame;
+#[cfg(test)]
+mod layout_tests;
+mod lifecycle;
+mod matched;
+mod stamp;
+mod stats;
+mod tick;
+
+pub use chunk::{ChunkHeader, Chunks};
+pub use descriptor::{DescriptorHeader, Descriptors};
+pub use event::Event;
+pub use frame::{ChannelOrder, FrameHeader, Frames};
+pub use lifecycle::{Lifecycle, LifecycleHeader, ServiceHealth, ServiceState};
+pub use matched::{Candidate, MatchHeader, Matches};
+pub use stamp::{Life, Stamp};
+pub use stats::{Histogram, ServicePhase, Stats, StatsHeader};
+pub use tick::{Control, ControlHeader, MemberSetting, TickHeader, TickKind, Ticks};
+
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+/// One kind of message: a header and a slice of items, both plain data.
+pub trait Message: 'static {
+    /// The header type.
+    type Header: Header;
+    /// The payload's item type.
+    type Item: Copy + Default + std::fmt::Debug + ZeroCopySend + 'static;
+}
+
+/// What every header has in common.
+pub trait Header: Copy + Default + std::fmt::Debug + ZeroCopySend + 'static {
+    /// Who sent it, when, and as which message of theirs.
+    fn stamp(&self) -> &Stamp;
+    /// The same, to be filled in by the outlet that sends it.
+    fn stamp_mut(&mut self) -> &mut Stamp;
+    /// The tick that the message belongs to; 0 where ticks mean nothing.
+    fn tick(&self) -> u64;
+    /// Notes when the sending stage started on its input and when it finished (host monotonic ns).
+    fn mark(&mut self, _started_ns: u64, _finished_ns: u64) {}
+}
+
+/// Implements [`Header`] for a struct with a `stamp` field and, where given, a `tick` field.
+macro_rules! header {
+    ($name:ty $(, tick: $tick:ident)? $(, mark: $mark:expr)?) => {
+        impl $crate::message::Header for $name {
+            fn stamp(&self) -> &$crate::message::Stamp {
+                &self.stamp
+            }
+            fn stamp_mut(&mut self) -> &mut $crate::message::Stamp {
+                &mut self.stamp
+            }
+            fn tick(&self) -> u64 {
+                header!(@tick self $($tick)?)
+            }
+            $(fn mark(&mut self, started_ns: u64, finished_ns: u64) {
+                let mark: fn(&mut $name, u64, u64) = $mark;
+                mark(self, started_ns, finished_ns);
+            })?
+        }
+    };
+    (@tick $self:ident $tick:ident) => { $self.$tick };
+    (@tick $self:ident) => { 0 };
+}
+pub(crate) use header;

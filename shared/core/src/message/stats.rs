@@ -1,0 +1,173 @@
+//! `stats`: what a process has done so far, published a few times per second and at every change of phase.
+#![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
+
+use super::{Message, Stamp, header};
+use iceoryx2_bb_derive_macros::ZeroCopySend;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+/// Where a process stands. Stored as its number.
+#[repr(u32)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum ServicePhase {
+    /// Loading; not connected yet.
+    #[default]
+    Starting = 0,
+    /// Connected: what is sent from now on arrives.
+    Ready = 1,
+    /// Has nothing more to do (ingest: the end is sent; sinks: the last tick is done).
+    Done = 2,
+}
+
+const SUB_BITS: u32 = 3;
+const OCTAVES: usize = 40;
+const BUCKETS: usize = (OCTAVES + 1) << SUB_BITS;
+
+/// A latency histogram with eight buckets per octave: quantiles are right to 1/8 of their value, at any size
+/// from 1 ns to 18 minutes (longer ones count as that).
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("evpr.Histogram.1")]
+pub struct Histogram {
+    /// Number of values.
+    pub count: u64,
+    /// Sum of the values, ns.
+    pub sum_ns: u64,
+    /// Largest value, ns.
+    pub max_ns: u64,
+    buckets: [u32; BUCKETS],
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self {
+            count: 0,
+            sum_ns: 0,
+            max_ns: 0,
+            buckets: [0; BUCKETS],
+        }
+    }
+}
+
+impl Histogram {
+    fn bucket(ns: u64) -> usize {
+        let sub = 1u64 << SUB_BITS;
+        if ns < sub {
+            return ns as usize;
+        }
+        let octave = 63 - ns.leading_zeros() - SUB_BITS;
+        let index = ((octave as usize + 1) << SUB_BITS) + ((ns >> octave) & (sub - 1)) as usize;
+        index.min(BUCKETS - 1)
+    }
+
+    fn upper_edge(bucket: usize) -> u64 {
+        let sub = 1usize << SUB_BITS;
+        if bucket < sub {
+            return bucket as u64;
+        }
+        let octave = (bucket >> SUB_BITS) - 1;
+        (((bucket & (sub - 1)) + sub + 1) as u64) << octave
+    }
+
+    /// Adds one value.
+    pub fn record(&mut self, ns: u64) {
+        self.count += 1;
+        self.sum_ns = self.sum_ns.saturating_add(ns);
+        self.max_ns = self.max_ns.max(ns);
+        let bucket = &mut self.buckets[Self::bucket(ns)];
+        *bucket = bucket.saturating_add(1);
+    }
+
+    /// The value below which the share `q` (0 to 1) of all values lies, ns; never above the largest; 0 when empty.
+    pub fn quantile_ns(&self, q: f64) -> u64 {
+        let wanted = ((self.count as f64 * q).ceil() as u64).max(1);
+        let mut seen = 0;
+        for (bucket, n) in self.buckets.iter().enumerate() {
+            seen += u64::from(*n);
+            if seen >= wanted {
+                return Self::upper_edge(bucket).min(self.max_ns);
+            }
+        }
+        self.max_ns
+    }
+
+    /// Mean, ns; 0 when empty.
+    pub fn mean_ns(&self) -> u64 {
+        self.sum_ns.checked_div(self.count).unwrap_or(0)
+    }
+}
+
+/// Counters of one process since its start. The payload is one unused byte.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[type_name("evpr.StatsHeader.1")]
+pub struct StatsHeader {
+    /// Sender and sequence.
+    pub stamp: Stamp,
+    /// Number of a [`ServicePhase`].
+    pub phase: u32,
+    /// Operating-system process id.
+    pub pid: u32,
+    /// Sinks: the first tick that is not done yet. Ingest: the first tick not opened yet.
+    pub next_tick: u64,
+    /// Messages taken in.
+    pub received: u64,
+    /// Messages sent.
+    pub emitted: u64,
+    /// Inputs that led to no output by decision (empty window, bad input), each with a reason downstream.
+    pub skipped: u64,
+    /// Messages lost or dropped because this process fell behind.
+    pub dropped: u64,
+    /// Messages refused because they were not of this run or their sizes were wrong.
+    pub refused: u64,
+    /// Events (ingest: sent; reconstructions: counted).
+    pub events: u64,
+    /// Ingest: permille of the recording that has been read, or 0 when not known.
+    pub progress_permille: u64,
+    /// From sending to being taken up.
+    pub waiting: Histogram,
+    /// From being taken up to done, sending included.
+    pub processing: Histogram,
+}
+
+header!(StatsHeader);
+
+/// Stats messages.
+#[derive(Debug)]
+pub struct Stats;
+
+impl Message for Stats {
+    type Header = StatsHeader;
+    type Item = u8;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_right_to_an_eighth() {
+        let mut h = Histogram::default();
+        for v in 1..=100_000u64 {
+            h.record(v * 100);
+        }
+        for q in [0.01, 0.5, 0.9, 0.99] {
+            let exact = q * 10_000_000.0;
+            let got = h.quantile_ns(q) as f64;
+            assert!(
+                got >= exact * 0.999 && got <= exact * 1.126,
+                "{q}: {got} against {exact}"
+            );
+        }
+        assert_eq!(h.quantile_ns(1.0), 10_000_000);
+        assert_eq!(Histogram::default().quantile_ns(0.5), 0);
+    }
+
+    #[test]
+    fn huge_values_count_as_the_last_bucket() {
+        let mut h = Histogram::default();
+        h.record(u64::MAX);
+        h.record(0);
+        assert_eq!((h.count, h.max_ns), (2, u64::MAX));
+        assert_eq!(h.quantile_ns(0.1), 0);
+    }
+}

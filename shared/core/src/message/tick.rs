@@ -1,0 +1,101 @@
+//! `ticks`: ingest tells everybody downstream that a tick exists and who is enabled in it; and `control`,
+//! by which the supervisor tells ingest who shall be.
+#![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
+
+use super::{Message, Stamp, header};
+use crate::member::MemberSet;
+use iceoryx2_bb_derive_macros::ZeroCopySend;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+/// What a tick message says. Stored as its number.
+#[repr(u32)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum TickKind {
+    /// The tick has begun: its members and weights are settled. Payload: a weight per member of the plan.
+    #[default]
+    Open = 0,
+    /// The tick is to be answered. Lossless: it lies wholly inside the recording. Latest: its last window closed.
+    Close = 1,
+    /// There is no tick `tick` nor any after it.
+    End = 2,
+}
+
+impl TickKind {
+    /// The kind with this number.
+    pub fn from_code(code: u32) -> Option<Self> {
+        [Self::Open, Self::Close, Self::End]
+            .into_iter()
+            .find(|k| *k as u32 == code)
+    }
+}
+
+/// Header of a tick message.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[type_name("evpr.TickHeader.1")]
+pub struct TickHeader {
+    /// Sender and sequence.
+    pub stamp: Stamp,
+    /// The tick.
+    pub tick: u64,
+    /// Sensor time of the tick's start, µs.
+    pub start_us: u64,
+    /// Sensor time of the tick's end, µs.
+    pub end_us: u64,
+    /// Host monotonic time (ns) at which the tick's last window closed; 0 before.
+    pub closed_ns: u64,
+    /// Version of the control message in force: the tick named here is the one a change takes effect at.
+    pub control_version: u64,
+    /// The members enabled at this tick.
+    pub members: MemberSet,
+    /// How often ingest had been started.
+    pub epoch: u32,
+    /// Number of a [`TickKind`].
+    pub kind: u32,
+}
+
+header!(TickHeader, tick: tick);
+
+/// Tick messages; the payload is a weight per member (f64) with [`TickKind::Open`], else one 0.
+#[derive(Debug)]
+pub struct Ticks;
+
+impl Message for Ticks {
+    type Header = TickHeader;
+    type Item = f64;
+}
+
+/// What a member shall be from the next tick on.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[type_name("evpr.MemberSetting.1")]
+pub struct MemberSetting {
+    /// Its weight in the sum.
+    pub weight: f64,
+    /// 1 when enabled, else 0.
+    pub enabled: u32,
+    /// Unused.
+    pub _pad: u32,
+}
+
+/// Header of a control message: the whole wanted state, newest version wins.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("evpr.ControlHeader.1")]
+pub struct ControlHeader {
+    /// Sender and sequence.
+    pub stamp: Stamp,
+    /// Grows by one with each change.
+    pub version: u64,
+}
+
+header!(ControlHeader);
+
+/// Control messages; the payload is one setting per member of the plan.
+#[derive(Debug)]
+pub struct Control;
+
+impl Message for Control {
+    type Header = ControlHeader;
+    type Item = MemberSetting;
+}

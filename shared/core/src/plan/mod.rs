@@ -1,0 +1,454 @@
+//! The plan: a configuration resolved into everything a process needs to know. It is made once, by the
+//! supervisor, and handed to every process as a file.
+
+mod channels;
+mod slicing;
+
+pub use channels::{Channel, Topic};
+pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Size of the sensor in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sensor {
+    /// Rows.
+    pub height: usize,
+    /// Columns.
+    pub width: usize,
+}
+
+impl Sensor {
+    /// Pixels.
+    pub fn pixels(self) -> usize {
+        self.height * self.width
+    }
+}
+
+impl std::fmt::Display for Sensor {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}×{} (height × width)", self.height, self.width)
+    }
+}
+
+/// A parameter of a reconstruction or an extractor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum ParamValue {
+    /// A whole number; durations are in nanoseconds.
+    Integer(i64),
+    /// A number.
+    Float(f64),
+    /// A word.
+    Text(String),
+}
+
+impl std::fmt::Display for ParamValue {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            ParamValue::Integer(v) => write!(f, "{v}"),
+            ParamValue::Float(v) => write!(f, "{v}"),
+            ParamValue::Text(v) => write!(f, "{v}"),
+        }
+    }
+}
+
+/// All parameters of a kind, defaults filled in.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Params(pub BTreeMap<String, ParamValue>);
+
+impl Params {
+    /// A whole number (durations: ns); 0 when there is none of this name.
+    pub fn integer(&self, name: &str) -> i64 {
+        match self.0.get(name) {
+            Some(ParamValue::Integer(v)) => *v,
+            Some(ParamValue::Float(v)) => *v as i64,
+            _ => 0,
+        }
+    }
+
+    /// A number; 0 when there is none of this name.
+    pub fn float(&self, name: &str) -> f64 {
+        match self.0.get(name) {
+            Some(ParamValue::Integer(v)) => *v as f64,
+            Some(ParamValue::Float(v)) => *v,
+            _ => 0.0,
+        }
+    }
+
+    /// A word; empty when there is none of this name.
+    pub fn text(&self, name: &str) -> &str {
+        match self.0.get(name) {
+            Some(ParamValue::Text(v)) => v,
+            _ => "",
+        }
+    }
+}
+
+/// One reconstruction of the plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Reconstruction {
+    /// Its name in member names and topics.
+    pub id: String,
+    /// The method: a row of the reconstruct crate's registry.
+    pub kind: String,
+    /// Channels per pixel of its frames.
+    pub channels: usize,
+    /// The method's parameters.
+    pub params: Params,
+}
+
+/// One extractor of the plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Extractor {
+    /// Its name in member names and topics.
+    pub id: String,
+    /// The kind: a row of the extract crate's registry.
+    pub kind: String,
+    /// Length of its rows.
+    pub dim: usize,
+    /// The kind's parameters.
+    pub params: Params,
+}
+
+/// One member of the ensemble: reconstruction @ window / extractor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Member {
+    /// `event_count@250ms/mixvpr`.
+    pub name: String,
+    /// Index into the plan's reconstructions.
+    pub reconstruction: usize,
+    /// Index into the plan's windows.
+    pub window: usize,
+    /// Index into the plan's extractors.
+    pub extractor: usize,
+    /// Whether it starts enabled.
+    pub enabled: bool,
+    /// Its weight at the start.
+    pub weight: f64,
+}
+
+/// Where events come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    /// `file`.
+    pub kind: String,
+    /// The recording.
+    pub path: PathBuf,
+    /// How fast it is replayed.
+    pub pace: Pace,
+    /// Unit of times in text recordings.
+    pub time_unit: TimeUnit,
+    /// What to do with a time that goes back.
+    pub on_backward_time: OnBadEvent,
+    /// What to do with an event outside the sensor.
+    pub on_outside_sensor: OnBadEvent,
+}
+
+/// How fast a recording is replayed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// As fast as the graph takes it.
+    Unpaced,
+    /// So many times as fast as it was recorded.
+    Factor(f64),
+}
+
+/// Unit of times in text recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TimeUnit {
+    /// A decimal point means seconds, else decided by magnitude; said in the log.
+    Auto,
+    /// Seconds.
+    S,
+    /// Milliseconds.
+    Ms,
+    /// Microseconds.
+    Us,
+    /// Nanoseconds.
+    Ns,
+}
+
+/// What to do with an event that cannot be right.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnBadEvent {
+    /// Stop with an error that names it.
+    Error,
+    /// Leave it out and count it.
+    Drop,
+    /// Times only: treat it as at the latest time so far, and count it.
+    Clamp,
+}
+
+/// How processes hand data on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Delivery {
+    /// Every stage waits for the next; two replays give the same answers.
+    Lossless,
+    /// The newest data wins; whole ticks are dropped and counted; answers at the deadline.
+    Latest,
+}
+
+/// Similarity of a query row and a map row: higher is more alike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Similarity {
+    /// −‖q − r‖₂, the paper's equation.
+    L2,
+    /// −‖q − r‖₂², the authors' code.
+    L2Squared,
+    /// q·r / (‖q‖ ‖r‖).
+    Cosine,
+    /// −Σ|q − r|.
+    Sad,
+}
+
+/// How a member's similarities over time become one score per place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SequenceMethod {
+    /// The paper's: z-scored on both axes, summed along the diagonal, over a length that grows to L.
+    Paper,
+    /// The similarity of this tick alone.
+    None,
+}
+
+/// How members' scores become one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Rule {
+    /// Weighted sum, the paper's.
+    Sum,
+}
+
+/// What the fuser does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Fuse {
+    /// Similarity.
+    pub similarity: Similarity,
+    /// Sequence method.
+    pub sequence: SequenceMethod,
+    /// Sequence length L in ticks.
+    pub length: usize,
+    /// Fusion rule.
+    pub rule: Rule,
+    /// Candidates in an answer.
+    pub top: usize,
+    /// Candidates within so many references of the best do not count as rivals for the confidence.
+    pub exclusion: usize,
+}
+
+/// Everything a process of one run needs to know.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// Name of the instance.
+    pub name: String,
+    /// Where events come from.
+    pub source: Source,
+    /// Size of the sensor.
+    pub sensor: Sensor,
+    /// How events are cut.
+    pub slicing: Slicing,
+    /// Reconstructions.
+    pub reconstructions: Vec<Reconstruction>,
+    /// Extractors.
+    pub extractors: Vec<Extractor>,
+    /// Members.
+    pub members: Vec<Member>,
+    /// What the fuser does.
+    pub fuse: Fuse,
+    /// How processes hand data on.
+    pub delivery: Delivery,
+    /// Latest delivery: the answer is due this long after the tick's last window closed, ns.
+    pub deadline_ns: u64,
+    /// The reference map, when the graph has a fuser.
+    pub map: Option<PathBuf>,
+    /// The traverse to record, when the graph has a recorder.
+    pub record: Option<PathBuf>,
+}
+
+/// A kind of process.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ServiceKind {
+    /// Reads and cuts events.
+    Ingest,
+    /// Makes frames.
+    Reconstruct,
+    /// Makes rows.
+    Extract,
+    /// Makes answers.
+    Fuse,
+    /// Writes a traverse.
+    Record,
+}
+
+impl ServiceKind {
+    /// As in the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            ServiceKind::Ingest => "ingest",
+            ServiceKind::Reconstruct => "reconstruct",
+            ServiceKind::Extract => "extract",
+            ServiceKind::Fuse => "fuse",
+            ServiceKind::Record => "record",
+        }
+    }
+}
+
+/// One process of the plan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Service {
+    /// What it does.
+    pub kind: ServiceKind,
+    /// Index among the plan's reconstructions or extractors; 0 for the others.
+    pub index: usize,
+    /// `ingest`, `reconstruct/event_count`, `extract/mixvpr`, `fuse`, `record`.
+    pub name: String,
+}
+
+impl Plan {
+    /// All processes, upstream first. A service's index in this list is its number in headers.
+    pub fn services(&self) -> Vec<Service> {
+        let service = |kind: ServiceKind, index, id: Option<&str>| Service {
+            kind,
+            index,
+            name: id.map_or_else(|| kind.name().to_owned(), |id| format!("{}/{id}", kind.name())),
+        };
+        let mut all = vec![service(ServiceKind::Ingest, 0, None)];
+        for (i, r) in self.reconstructions.iter().enumerate() {
+            all.push(service(ServiceKind::Reconstruct, i, Some(&r.id)));
+        }
+        for (i, e) in self.extractors.iter().enumerate() {
+            all.push(service(ServiceKind::Extract, i, Some(&e.id)));
+        }
+        if self.map.is_some() {
+            all.push(service(ServiceKind::Fuse, 0, None));
+        }
+        if self.record.is_some() {
+            all.push(service(ServiceKind::Record, 0, None));
+        }
+        all
+    }
+
+    /// Number in headers of the service that runs reconstruction `index`.
+    pub fn reconstruct_service(&self, index: usize) -> usize {
+        1 + index
+    }
+
+    /// Number in headers of the service that runs extractor `index`.
+    pub fn extract_service(&self, index: usize) -> usize {
+        1 + self.reconstructions.len() + index
+    }
+
+    /// The member with these parts, if the plan has it.
+    pub fn member_of(&self, reconstruction: usize, window: usize, extractor: usize) -> Option<usize> {
+        self.members.iter().position(|m| {
+            m.reconstruction == reconstruction && m.window == window && m.extractor == extractor
+        })
+    }
+
+    /// The members enabled at the start.
+    pub fn enabled_members(&self) -> crate::MemberSet {
+        self.members
+            .iter()
+            .enumerate()
+            .filter(|(_, m)| m.enabled)
+            .map(|(i, _)| i)
+            .collect()
+    }
+
+    /// What decides whether two rows of this member can be compared: every name and number that shapes a row.
+    /// Two members with equal fingerprints are the same measurement.
+    pub fn fingerprint(&self, member: usize) -> BTreeMap<String, String> {
+        let mut print = BTreeMap::new();
+        let Some(m) = self.members.get(member) else {
+            return print;
+        };
+        let (r, e) = (
+            &self.reconstructions[m.reconstruction],
+            &self.extractors[m.extractor],
+        );
+        let mut put = |key: &str, value: String| print.insert(key.to_owned(), value);
+        put("sensor", format!("{}x{}", self.sensor.height, self.sensor.width));
+        put("window", self.slicing.window_id(m.window));
+        put("align", self.slicing.align.name().to_owned());
+        put("tick", self.slicing.tick_id());
+        put("reconstruction", r.kind.clone());
+        put("extractor", e.kind.clone());
+        put("dim", e.dim.to_string());
+        for (key, value) in &r.params.0 {
+            put(&format!("reconstruction.{key}"), value.to_string());
+        }
+        for (key, value) in &e.params.0 {
+            put(&format!("extractor.{key}"), value.to_string());
+        }
+        print
+    }
+}
+
+/// A small plan for unit tests: 4×6 pixels, 1 ms ticks of one window, two reconstructions `a` and `b`, one
+/// extractor `x` of dimension 3, two members, a map and no recorder.
+#[doc(hidden)]
+pub fn test_plan() -> Plan {
+    let reconstruction = |id: &str| Reconstruction {
+        id: id.to_owned(),
+        kind: "event_count_no_polarity".to_owned(),
+        channels: 1,
+        params: Params::default(),
+    };
+    let member = |r: usize, id: &str| Member {
+        name: format!("{id}@1ms/x"),
+        reconstruction: r,
+        window: 0,
+        extractor: 0,
+        enabled: true,
+        weight: 1.0,
+    };
+    Plan {
+        name: "test".to_owned(),
+        source: Source {
+            kind: "file".to_owned(),
+            path: PathBuf::from("events.h5"),
+            pace: Pace::Unpaced,
+            time_unit: TimeUnit::Auto,
+            on_backward_time: OnBadEvent::Error,
+            on_outside_sensor: OnBadEvent::Error,
+        },
+        sensor: Sensor { height: 4, width: 6 },
+        slicing: Slicing {
+            mode: SliceMode::Time,
+            tick: 1_000_000,
+            windows: vec![1_000_000],
+            align: Align::Start,
+            origin: Origin::FirstEvent,
+        },
+        reconstructions: vec![reconstruction("a"), reconstruction("b")],
+        extractors: vec![Extractor {
+            id: "x".to_owned(),
+            kind: "raw_pixels".to_owned(),
+            dim: 3,
+            params: Params::default(),
+        }],
+        members: vec![member(0, "a"), member(1, "b")],
+        fuse: Fuse {
+            similarity: Similarity::L2,
+            sequence: SequenceMethod::Paper,
+            length: 10,
+            rule: Rule::Sum,
+            top: 5,
+            exclusion: 5,
+        },
+        delivery: Delivery::Lossless,
+        deadline_ns: 1_000_000_000,
+        map: Some(PathBuf::from("map")),
+        record: None,
+    }
+}

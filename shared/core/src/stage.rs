@@ -1,0 +1,143 @@
+//! What a stage is: a plain state machine over slices. The runtime gives it a process; offline commands and
+//! tests chain it in theirs.
+
+use crate::message::{DescriptorHeader, MatchHeader, Matches, Message, ServiceState, TickHeader};
+
+/// Why a stage could not go on.
+#[derive(Debug, thiserror::Error)]
+pub enum StageError {
+    /// This message cannot be used; it is counted, logged (rate-limited) and the stage goes on.
+    #[error("{0}")]
+    Skip(String),
+    /// The stage cannot go on: one line saying what was wrong, with which input, and what to do.
+    #[error("{0}")]
+    Fatal(String),
+    /// The outlet is closed because the process is asked to stop.
+    #[error("stopped")]
+    Stopped,
+}
+
+/// Where a stage puts its output.
+pub trait Outlet<M: Message> {
+    /// Sends one message: `fill` writes the `len` payload items in place, straight into the loaned
+    /// shared-memory slice (which it must fill whole; it starts zeroed).
+    ///
+    /// The outlet completes the header's stamp and times. Lossless delivery blocks until there is room.
+    ///
+    /// # Errors
+    /// [`StageError::Stopped`] when the process is asked to stop while it waits; [`StageError::Fatal`] when
+    /// the channel is broken.
+    fn emit(
+        &mut self,
+        header: M::Header,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [M::Item]),
+    ) -> Result<(), StageError>;
+}
+
+/// An outlet that keeps what it is given: for tests and in-process chains.
+#[derive(Debug)]
+pub struct Kept<M: Message> {
+    /// What was emitted, in order.
+    pub messages: Vec<(M::Header, Vec<M::Item>)>,
+}
+
+impl<M: Message> Default for Kept<M> {
+    fn default() -> Self {
+        Self { messages: Vec::new() }
+    }
+}
+
+impl<M: Message> Outlet<M> for Kept<M> {
+    fn emit(
+        &mut self,
+        header: M::Header,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [M::Item]),
+    ) -> Result<(), StageError> {
+        let mut payload = vec![M::Item::default(); len];
+        fill(&mut payload);
+        self.messages.push((header, payload));
+        Ok(())
+    }
+}
+
+/// A stage with one kind of input and one kind of output: reconstructions and extractors.
+pub trait Stage {
+    /// What it takes.
+    type In: Message;
+    /// What it gives.
+    type Out: Message;
+
+    /// Takes one message. Called for every message, in the order of each sender.
+    ///
+    /// # Errors
+    /// [`StageError::Skip`] when this message cannot be used, [`StageError::Fatal`] when nothing can go on.
+    fn process(
+        &mut self,
+        header: &<Self::In as Message>::Header,
+        payload: &[<Self::In as Message>::Item],
+        outlet: &mut dyn Outlet<Self::Out>,
+    ) -> Result<(), StageError>;
+
+    /// Called instead of [`Stage::process`] for each message of a tick that is dropped whole because the
+    /// process fell behind: the stage says "no row" where it would have given one.
+    ///
+    /// # Errors
+    /// As [`Stage::process`].
+    fn skip_dropped(
+        &mut self,
+        header: &<Self::In as Message>::Header,
+        outlet: &mut dyn Outlet<Self::Out>,
+    ) -> Result<(), StageError>;
+
+    /// Events counted so far, for the stats; 0 where that means nothing.
+    fn events(&self) -> u64 {
+        0
+    }
+}
+
+/// The end of the graph: takes rows and ticks, and settles ticks in order. The fuser and the recorder.
+///
+/// The runtime calls [`Sink::tick`], [`Sink::descriptor`] and [`Sink::lifecycle`] as messages come, then
+/// [`Sink::settle`] once after each batch and whenever [`Sink::deadline_ns`] has passed.
+pub trait Sink {
+    /// A tick opened, closed, or the stream ended. `weights` has one entry per member with an opening.
+    ///
+    /// # Errors
+    /// As [`Stage::process`].
+    fn tick(&mut self, header: &TickHeader, weights: &[f64]) -> Result<(), StageError>;
+
+    /// A row, or the reason why there is none.
+    ///
+    /// # Errors
+    /// As [`Stage::process`].
+    fn descriptor(&mut self, header: &DescriptorHeader, row: &[f32]) -> Result<(), StageError>;
+
+    /// Who is dead, by index of service in the plan.
+    fn lifecycle(&mut self, services: &[ServiceState]);
+
+    /// Settles every tick that is complete or overdue at `now_ns` (host monotonic), in order.
+    ///
+    /// # Errors
+    /// As [`Stage::process`].
+    fn settle(&mut self, now_ns: u64, outlet: &mut dyn Outlet<Matches>) -> Result<(), StageError>;
+
+    /// When to call [`Sink::settle`] again though nothing came (host monotonic ns).
+    fn deadline_ns(&self) -> Option<u64>;
+
+    /// The first tick that is not settled yet.
+    fn next_tick(&self) -> u64;
+
+    /// True once the stream has ended and every tick before the end is settled.
+    fn finished(&self) -> bool;
+
+    /// Called once before the process ends, whatever the reason: completes what is to be kept.
+    ///
+    /// # Errors
+    /// [`StageError::Fatal`] when it could not be completed.
+    fn close(&mut self) -> Result<(), StageError>;
+}
+
+/// A header with what it carries, for [`MatchHeader`] consumers in process.
+pub type Answer = (MatchHeader, Vec<crate::message::Candidate>);
