@@ -36,7 +36,7 @@ pub fn parse_duration_ns(text: &str) -> Result<u64, String> {
         .ok_or_else(too_long)?;
     let mut digit_scale = scale;
     for digit in fraction.bytes().map(|b| u64::from(b - b'0')) {
-        if digit_scale % 10 != 0 && digit != 0 {
+        if !digit_scale.is_multiple_of(10) && digit != 0 {
             return Err(format!("\"{text}\" is finer than a nanosecond"));
         }
         digit_scale /= 10;

@@ -83,7 +83,7 @@ impl Channel {
 }
 
 /// Messages that a publisher fills at the same time.
-pub const LOANED: usize = 1;
+pub(super) const LOANED: usize = 1;
 /// Observers and restarting processes, beyond the planned subscribers.
 const SPARE_SUBSCRIBERS: usize = 2;
 /// A restarted process may come before its dead forerunner is cleaned up; bridges take one too.
