@@ -2,9 +2,11 @@
 //! supervisor, and handed to every process as a file.
 
 mod channels;
+mod kind;
 mod slicing;
 
 pub use channels::{Channel, Topic};
+pub use kind::*;
 pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
 
 use serde::{Deserialize, Serialize};

@@ -1,0 +1,139 @@
+//! What a binary knows how to do: the kinds of reconstructions and extractors with their parameters. The crates of
+//! the stages fill these in; the configuration is checked against them.
+
+use super::{ParamValue, Params};
+use crate::message::ChannelOrder;
+
+/// What values a parameter takes, and which one it has when the configuration does not name it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParamKind {
+    /// A span of time, written as `"100ms"`, kept in [`Params`] as whole nanoseconds; above 0.
+    Duration {
+        /// Default, ns.
+        default_ns: u64,
+    },
+    /// A whole number.
+    Integer {
+        /// Default.
+        default: i64,
+        /// Least value allowed.
+        min: i64,
+        /// Greatest value allowed.
+        max: i64,
+    },
+    /// A finite number.
+    Float {
+        /// Default.
+        default: f64,
+        /// Least value allowed.
+        min: f64,
+        /// Greatest value allowed.
+        max: f64,
+    },
+    /// One of a few words.
+    Choice {
+        /// Default; one of `options`.
+        default: &'static str,
+        /// The words.
+        options: &'static [&'static str],
+    },
+}
+
+/// A parameter of a kind.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParamInfo {
+    /// Its key in the `params` table of the configuration.
+    pub name: &'static str,
+    /// What values it takes.
+    pub kind: ParamKind,
+    /// One line: what it does, with its unit.
+    pub doc: &'static str,
+}
+
+impl ParamInfo {
+    /// The value that it has when the configuration does not name it.
+    pub fn default_value(&self) -> ParamValue {
+        match self.kind {
+            ParamKind::Duration { default_ns } => {
+                ParamValue::Integer(i64::try_from(default_ns).unwrap_or(i64::MAX))
+            }
+            ParamKind::Integer { default, .. } => ParamValue::Integer(default),
+            ParamKind::Float { default, .. } => ParamValue::Float(default),
+            ParamKind::Choice { default, .. } => ParamValue::Text(default.to_owned()),
+        }
+    }
+}
+
+/// A method of reconstruction: one row of the reconstruct crate's registry.
+#[derive(Debug, Clone, Copy)]
+pub struct ReconstructionKind {
+    /// Its name in the configuration.
+    pub name: &'static str,
+    /// One line: what its frames show.
+    pub doc: &'static str,
+    /// What the channels of its frames mean; this also gives their number.
+    pub channel_order: ChannelOrder,
+    /// Its parameters.
+    pub params: &'static [ParamInfo],
+}
+
+/// A kind of extractor: one row of the extract crate's registry.
+#[derive(Debug, Clone, Copy)]
+pub struct ExtractorKind {
+    /// Its name in the configuration.
+    pub name: &'static str,
+    /// One line: what its rows are.
+    pub doc: &'static str,
+    /// Its parameters.
+    pub params: &'static [ParamInfo],
+    /// Length of its rows with these parameters (defaults filled in), or one line saying what is wrong with this
+    /// combination of them.
+    pub dim: fn(&Params) -> Result<usize, String>,
+}
+
+/// Everything that the binary knows.
+#[derive(Debug, Clone, Copy)]
+pub struct Catalog {
+    /// Methods of reconstruction.
+    pub reconstructions: &'static [ReconstructionKind],
+    /// Kinds of extractors.
+    pub extractors: &'static [ExtractorKind],
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_have_the_form_that_params_keep() {
+        let value = |kind| {
+            let info = ParamInfo {
+                name: "p",
+                kind,
+                doc: "",
+            };
+            info.default_value()
+        };
+        let duration = ParamKind::Duration {
+            default_ns: 100_000_000,
+        };
+        assert_eq!(value(duration), ParamValue::Integer(100_000_000));
+        let integer = ParamKind::Integer {
+            default: 32,
+            min: 1,
+            max: 64,
+        };
+        assert_eq!(value(integer), ParamValue::Integer(32));
+        let float = ParamKind::Float {
+            default: 0.5,
+            min: 0.0,
+            max: 1.0,
+        };
+        assert_eq!(value(float), ParamValue::Float(0.5));
+        let choice = ParamKind::Choice {
+            default: "none",
+            options: &["none", "log1p"],
+        };
+        assert_eq!(value(choice), ParamValue::Text("none".to_owned()));
+    }
+}
