@@ -14,23 +14,23 @@ macro_rules! layout {
 #[test]
 fn layouts_are_as_published() {
     layout!(Event, 8, t_us: 0, x: 4, y_polarity: 6);
-    layout!(Stamp, 32, run_id: 0, seq: 8, sent_ns: 16, service: 24, incarnation: 28);
+    layout!(Stamp, 40, run_id: 0, seq: 8, sent_ns: 16, service: 24, incarnation: 28, items: 32);
     layout!(Life, 40, closed_ns: 0, reconstruct_started_ns: 8, reconstructed_ns: 16, extract_started_ns: 24, extracted_ns: 32);
-    layout!(ChunkHeader, 104, stamp: 0, tick: 32, base_us: 40, closed_ns: 48, epoch: 56, segment: 60, flags: 64, closes: 68, members: 72);
-    layout!(FrameHeader, 120, stamp: 0, tick: 32, events: 40, life: 48, epoch: 88, reconstruction: 92, window: 96,
-        height: 100, width: 104, channel_order: 108, reason: 112, extractors: 116);
-    layout!(DescriptorHeader, 104, stamp: 0, tick: 32, life: 40, epoch: 80, member: 84, reason: 88, dim: 92,
-        reconstruct_service: 96, reconstruct_incarnation: 100);
-    layout!(TickHeader, 112, stamp: 0, tick: 32, start_us: 40, end_us: 48, closed_ns: 56, control_version: 64,
-        members: 72, epoch: 104, kind: 108);
+    layout!(ChunkHeader, 112,  stamp: 0, tick: 40, base_us: 48, closed_ns: 56, epoch: 64, segment: 68, flags: 72, closes: 76, members: 80);
+    layout!(FrameHeader, 128,  stamp: 0, tick: 40, events: 48, life: 56, epoch: 96, reconstruction: 100, window: 104,
+        height: 108, width: 112, channel_order: 116, reason: 120, extractors: 124);
+    layout!(DescriptorHeader, 112,  stamp: 0, tick: 40, life: 48, epoch: 88, member: 92, reason: 96, dim: 100,
+        reconstruct_service: 104, reconstruct_incarnation: 108);
+    layout!(TickHeader, 120,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, control_version: 72,
+        members: 80, epoch: 112, kind: 116);
     layout!(MemberSetting, 16, weight: 0, enabled: 8);
-    layout!(ControlHeader, 40, stamp: 0, version: 32);
+    layout!(ControlHeader, 48,  stamp: 0, version: 40);
     layout!(ServiceState, 16, incarnation: 0, dead_through: 4, health: 8);
-    layout!(LifecycleHeader, 40, stamp: 0, version: 32);
+    layout!(LifecycleHeader, 48,  stamp: 0, version: 40);
     layout!(Candidate, 16, score: 0, reference: 8);
-    layout!(MatchHeader, 400, stamp: 0, tick: 32, start_us: 40, end_us: 48, reference: 56, score: 64, confidence: 72,
-        east_m: 80, north_m: 88, reconstruct_ns: 96, extract_ns: 104, fuse_ns: 112, total_ns: 120, reason: 128,
-        candidates: 132, control_version: 136, ends: 144);
-    layout!(StatsHeader, 2776, stamp: 0, phase: 32, pid: 36, next_tick: 40, received: 48, emitted: 56, skipped: 64,
-        dropped: 72, refused: 80, events: 88, progress_permille: 96, waiting: 104, processing: 1440);
+    layout!(MatchHeader, 408,  stamp: 0, tick: 40, start_us: 48, end_us: 56, reference: 64, score: 72, confidence: 80,
+        east_m: 88, north_m: 96, reconstruct_ns: 104, extract_ns: 112, fuse_ns: 120, total_ns: 128, reason: 136,
+        candidates: 140, control_version: 144, ends: 152);
+    layout!(StatsHeader, 2784,  stamp: 0, phase: 40, pid: 44, next_tick: 48, received: 56, emitted: 64, skipped: 72,
+        dropped: 80, refused: 88, events: 96, progress_permille: 104, waiting: 112, processing: 1448);
 }

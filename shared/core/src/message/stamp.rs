@@ -4,7 +4,7 @@
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
-/// Who sent a message and as which one of theirs. 32 bytes.
+/// Who sent a message and as which one of theirs. 40 bytes.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
 #[type_name("evpr.Stamp.1")]
@@ -19,6 +19,10 @@ pub struct Stamp {
     pub service: u32,
     /// How often that service had been started when this was sent, from 1.
     pub incarnation: u32,
+    /// Payload items that count: a slice in shared memory has at least one.
+    pub items: u32,
+    /// Unused.
+    pub _pad: u32,
 }
 
 /// Host monotonic times (ns) of the stations between the closing of a window and its row; 0 where not reached.
