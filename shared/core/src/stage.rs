@@ -1,7 +1,10 @@
 //! What a stage is: a plain state machine over slices. The runtime gives it a process; offline commands and
 //! tests chain it in theirs.
 
-use crate::message::{DescriptorHeader, MatchHeader, Matches, Message, ServiceState, TickHeader};
+use crate::message::{
+    ChunkHeader, DescriptorHeader, Event, MatchHeader, Matches, MemberSetting, Message, ServiceState,
+    TickHeader,
+};
 
 /// Why a stage could not go on.
 #[derive(Debug, thiserror::Error)]
@@ -141,3 +144,42 @@ pub trait Sink {
 
 /// A header with what it carries, for [`MatchHeader`] consumers in process.
 pub type Answer = (MatchHeader, Vec<crate::message::Candidate>);
+
+/// What ingest sends into and hears from, given by the runtime. A request to stop reaches ingest by a receiver of its
+/// own, so that it can wait for events and for the request at the same time.
+pub trait IngestPort {
+    /// Host monotonic time, ns.
+    fn now_ns(&self) -> u64;
+
+    /// Sends a chunk: `fill` writes its `len` events in place. Lossless delivery blocks until there is room.
+    ///
+    /// # Errors
+    /// [`StageError::Stopped`] when it gave up waiting for room; [`StageError::Fatal`] when the channel is broken.
+    fn chunk(
+        &mut self,
+        header: ChunkHeader,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [Event]),
+    ) -> Result<(), StageError>;
+
+    /// Sends a tick message. `weights` has one entry per member with an opening, and is empty with a closing and with
+    /// the end.
+    ///
+    /// # Errors
+    /// As [`IngestPort::chunk`].
+    fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError>;
+
+    /// The newest wanted member settings with their version, if they changed since the last call. Asked at every
+    /// opening of a tick, so it must be quick.
+    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)>;
+
+    /// Waits until the host monotonic time `ns`.
+    ///
+    /// # Errors
+    /// [`StageError::Stopped`], at once, when the process is asked to stop.
+    fn wait_until(&mut self, ns: u64) -> Result<(), StageError>;
+
+    /// Tells how far it is, for the stats: permille of the recording read (0 when not known), the first tick not
+    /// opened yet, events sent, and events left out by decision.
+    fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64);
+}
