@@ -62,6 +62,40 @@ impl ParamInfo {
             ParamKind::Choice { default, .. } => ParamValue::Text(default.to_owned()),
         }
     }
+
+    /// Checks that `params` has this parameter, with a value of the right type and range.
+    ///
+    /// # Errors
+    /// One line: what is wrong with it and what is allowed.
+    pub fn check(&self, params: &Params) -> Result<(), String> {
+        let name = self.name;
+        let Some(value) = params.0.get(name) else {
+            return Err(format!("parameter \"{name}\" is missing; {}", self.allowed()));
+        };
+        let fits = match (self.kind, value) {
+            (ParamKind::Duration { .. }, ParamValue::Integer(v)) => *v > 0,
+            (ParamKind::Integer { min, max, .. }, ParamValue::Integer(v)) => (min..=max).contains(v),
+            (ParamKind::Float { min, max, .. }, ParamValue::Float(v)) => (min..=max).contains(v),
+            (ParamKind::Float { min, max, .. }, ParamValue::Integer(v)) => (min..=max).contains(&(*v as f64)),
+            (ParamKind::Choice { options, .. }, ParamValue::Text(v)) => options.contains(&v.as_str()),
+            _ => false,
+        };
+        if fits {
+            Ok(())
+        } else {
+            Err(format!("parameter \"{name}\" is {value}; {}", self.allowed()))
+        }
+    }
+
+    /// What it may be, for an error message.
+    fn allowed(&self) -> String {
+        match self.kind {
+            ParamKind::Duration { .. } => "give a duration above 0".to_owned(),
+            ParamKind::Integer { min, max, .. } => format!("give a whole number from {min} to {max}"),
+            ParamKind::Float { min, max, .. } => format!("give a number from {min} to {max}"),
+            ParamKind::Choice { options, .. } => format!("give one of {}", options.join(", ")),
+        }
+    }
 }
 
 /// A method of reconstruction: one row of the reconstruct crate's registry.
@@ -135,5 +169,45 @@ mod tests {
             options: &["none", "log1p"],
         };
         assert_eq!(value(choice), ParamValue::Text("none".to_owned()));
+    }
+
+    #[test]
+    fn values_are_checked_for_type_and_range() {
+        let info = |kind| ParamInfo {
+            name: "p",
+            kind,
+            doc: "",
+        };
+        let integer = info(ParamKind::Integer {
+            default: 32,
+            min: 1,
+            max: 64,
+        });
+        let choice = info(ParamKind::Choice {
+            default: "none",
+            options: &["none", "log1p"],
+        });
+        let with = |value| Params([("p".to_owned(), value)].into());
+        assert_eq!(integer.check(&with(integer.default_value())), Ok(()));
+        assert_eq!(choice.check(&with(choice.default_value())), Ok(()));
+        assert_eq!(
+            integer.check(&with(ParamValue::Integer(65))),
+            Err("parameter \"p\" is 65; give a whole number from 1 to 64".to_owned())
+        );
+        assert_eq!(
+            choice.check(&with(ParamValue::Text("sqrt".to_owned()))),
+            Err("parameter \"p\" is sqrt; give one of none, log1p".to_owned())
+        );
+        assert!(integer.check(&Params::default()).is_err());
+        assert!(integer.check(&with(ParamValue::Float(3.0))).is_err());
+        let duration = info(ParamKind::Duration { default_ns: 1 });
+        assert!(duration.check(&with(ParamValue::Integer(0))).is_err());
+        let float = info(ParamKind::Float {
+            default: 0.5,
+            min: 0.0,
+            max: 1.0,
+        });
+        assert!(float.check(&with(ParamValue::Integer(1))).is_ok());
+        assert!(float.check(&with(ParamValue::Float(f64::NAN))).is_err());
     }
 }

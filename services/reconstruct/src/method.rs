@@ -1,0 +1,22 @@
+//! What a method of reconstruction is to the driver.
+
+use evpr_core::message::Event;
+use evpr_core::plan::{Params, Sensor};
+
+/// A method: keeps a fixed number of slots, each with the events of one segment, in whatever form it needs.
+pub(crate) trait Method: Send {
+    /// Enters events into a slot, in stream order; their times count from `base_us`. Events outside the sensor are
+    /// left out. Returns how many were entered.
+    fn accumulate(&mut self, slot: usize, events: &[Event], base_us: u64) -> usize;
+
+    /// Empties a slot.
+    fn clear(&mut self, slot: usize);
+
+    /// Renders the events of these slots, given in stream order, as one image of the sensor's size. Writes every
+    /// byte of `out` (height × width × channels, row-major, channels interleaved). At least one event is in them.
+    fn render(&mut self, slots: &[usize], out: &mut [u8]);
+}
+
+/// Makes a method for this sensor with so many slots. Parameters are within their ranges; the error is one line
+/// saying what is wrong with their combination.
+pub(crate) type Make = fn(Sensor, usize, &Params) -> Result<Box<dyn Method>, String>;
