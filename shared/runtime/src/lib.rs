@@ -1,1 +1,46 @@
-//! To come.
+//! Gives stages processes: channels over iceoryx2, run loops that block on events, stop signals, stats, and the
+//! supervisor that starts the processes of a plan, buries the dead and starts them again.
+//!
+//! This is the only crate that names iceoryx2's ports. Stages know nothing of it.
+
+mod channel;
+mod clock;
+mod control;
+mod domain;
+mod run;
+mod shm;
+mod stop;
+mod supervise;
+mod telemetry;
+mod wait;
+
+pub use clock::now_ns;
+pub use control::{ControlReply, ControlRequest, MemberState, request};
+pub use domain::{RunFolder, RunSpec};
+pub use run::{Identity, ServiceContext, run_ingest, run_sink, run_stage};
+pub use shm::{ShmRoom, room};
+pub use stop::Stop;
+pub use supervise::{Hooks, Outcome, Progress, RunSummary, ServiceReport, Spawn, Supervisor};
+
+/// What can go wrong around the stages: one line saying what was wrong and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum RuntimeError {
+    /// Shared memory, channels or their names.
+    #[error("{0}")]
+    Ipc(String),
+    /// The run folder, its files and sockets.
+    #[error("{0}")]
+    Folder(String),
+    /// A stage said that it cannot go on.
+    #[error("{0}")]
+    Stage(String),
+    /// A process could not be started or signalled.
+    #[error("{0}")]
+    Process(String),
+}
+
+impl RuntimeError {
+    pub(crate) fn ipc(what: impl std::fmt::Display, error: impl std::fmt::Debug) -> Self {
+        Self::Ipc(format!("{what}: {error:?}"))
+    }
+}

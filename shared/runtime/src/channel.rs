@@ -1,0 +1,312 @@
+//! Channels: a publish–subscribe service with its event of the same name, and for channels that wait a second event
+//! by which subscribers say that there is room again. Nobody polls.
+
+use crate::clock::now_ns;
+use crate::run::Identity;
+use crate::{RuntimeError, Stop};
+use evpr_core::message::{Header, Message};
+use evpr_core::plan::{Channel, Topic};
+use evpr_core::stage::{Outlet, StageError};
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::BackpressureAction;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+use std::collections::HashMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The flavour of iceoryx2 used throughout: ports may move between threads.
+pub(crate) type Ipc = ipc_threadsafe::Service;
+type DataService<M> = publish_subscribe::PortFactory<Ipc, [<M as Message>::Item], <M as Message>::Header>;
+/// A received message; its slot is given back when this drops.
+pub(crate) type Received<M> = Sample<Ipc, [<M as Message>::Item], <M as Message>::Header>;
+
+const DATA: usize = 1;
+const ROOM: usize = 2;
+/// A blocked publisher looks at its stop flag this often, should a wake-up be lost with a dying subscriber.
+const BLOCKED_RECHECK: Duration = Duration::from_millis(50);
+/// Cache lines, and SIMD loads.
+const ALIGNMENT: usize = 64;
+/// Slots written once at the start, so that the first messages do not pay for fresh pages.
+const TOUCHED_SLOTS: usize = 4;
+
+/// Wakes the main loop of this process from another thread.
+#[derive(Debug, Clone)]
+pub(crate) struct WakeSender(Arc<Notifier<Ipc>>);
+
+impl WakeSender {
+    pub(crate) fn new(notifier: Notifier<Ipc>) -> Self {
+        Self(Arc::new(notifier))
+    }
+
+    pub(crate) fn wake(&self) {
+        // A full socket means that a wake-up is under way already.
+        let _ = self.0.notify();
+    }
+}
+
+fn failed(topic: &Topic, what: &str, error: &dyn std::fmt::Debug) -> RuntimeError {
+    RuntimeError::Ipc(format!("channel {topic}: {what}: {error:?}"))
+}
+
+fn service_name(topic: &Topic, suffix: &str) -> Result<ServiceName, RuntimeError> {
+    ServiceName::new(&format!("{topic}{suffix}")).map_err(|e| failed(topic, "bad name", &e))
+}
+
+/// The services behind one channel. Whoever opens them first creates them, with the sizes of the plan.
+#[derive(Debug)]
+pub(crate) struct ChannelServices<M: Message> {
+    channel: Channel,
+    data: DataService<M>,
+    wake: event::PortFactory<Ipc>,
+    room: event::PortFactory<Ipc>,
+}
+
+impl<M: Message> ChannelServices<M> {
+    pub(crate) fn open(node: &Node<Ipc>, channel: &Channel) -> Result<Self, RuntimeError> {
+        let topic = &channel.topic;
+        let alignment = Alignment::new(ALIGNMENT).ok_or_else(|| failed(topic, "bad alignment", &ALIGNMENT))?;
+        let nodes = 2 * (channel.max_subscribers + channel.max_publishers);
+        let data = node
+            .service_builder(&service_name(topic, "")?)
+            .publish_subscribe::<[M::Item]>()
+            .user_header::<M::Header>()
+            .payload_alignment(alignment)
+            .enable_safe_overflow(!channel.waits)
+            .history_size(0)
+            .subscriber_max_buffer_size(channel.buffer)
+            .subscriber_max_borrowed_samples(channel.borrowed)
+            .max_publishers(channel.max_publishers)
+            .max_subscribers(channel.max_subscribers)
+            .max_nodes(nodes)
+            .open_or_create()
+            .map_err(|e| failed(topic, "cannot open", &e))?;
+        let event = |suffix: &str| {
+            node.service_builder(&service_name(topic, suffix)?)
+                .event()
+                .max_listeners(channel.max_subscribers + channel.max_publishers)
+                .max_notifiers(channel.max_subscribers + channel.max_publishers)
+                .max_nodes(nodes)
+                .open_or_create()
+                .map_err(|e| failed(topic, "cannot open its event", &e))
+        };
+        Ok(Self { channel: channel.clone(), data, wake: event("")?, room: event("/room")? })
+    }
+}
+
+/// The sending end of a channel.
+#[derive(Debug)]
+pub(crate) struct ChannelSender<M: Message> {
+    topic: Topic,
+    max_items: usize,
+    publisher: Publisher<Ipc, [M::Item], M::Header>,
+    wake: Notifier<Ipc>,
+    identity: Identity,
+    seq: u64,
+    stop: Stop,
+    /// When the stage took up the input that it works on.
+    pub(crate) started_ns: u64,
+    /// Messages sent.
+    pub(crate) sent: u64,
+    // The publisher does not keep its service alive by itself.
+    _services: ChannelServices<M>,
+}
+
+impl<M: Message> ChannelSender<M> {
+    /// `stop_at` is how many stop requests it takes to give up waiting for room: ingest still sends its end after
+    /// the first.
+    pub(crate) fn new(
+        services: ChannelServices<M>,
+        identity: Identity,
+        stop: &Stop,
+        stop_at: u32,
+    ) -> Result<Self, RuntimeError> {
+        let channel = services.channel.clone();
+        let topic = channel.topic.clone();
+        let slots = TOUCHED_SLOTS.min(channel.slots());
+        let builder = services
+            .data
+            .publisher_builder()
+            .initial_max_slice_len(channel.max_items.max(1))
+            .allocation_strategy(AllocationStrategy::Static)
+            .max_loaned_samples(slots)
+            .backpressure_strategy(BackpressureStrategy::DiscardData);
+        let publisher = if channel.waits {
+            let room = services
+                .room
+                .listener_builder()
+                .create()
+                .map_err(|e| failed(&topic, "cannot listen for room", &e))?;
+            let flag = stop.clone();
+            builder.set_backpressure_handler(move |_| {
+                if flag.count() >= stop_at {
+                    return BackpressureAction::DiscardDataAndFail;
+                }
+                // A wait that fails leaves iceoryx2's own back-off between the retries.
+                let _ = room.timed_wait(|_| {}, BLOCKED_RECHECK);
+                BackpressureAction::Retry
+            })
+        } else {
+            builder
+        }
+        .create()
+        .map_err(|e| failed(&topic, "cannot publish", &e))?;
+        let wake =
+            services.wake.notifier_builder().create().map_err(|e| failed(&topic, "cannot notify", &e))?;
+        let touched: Result<Vec<_>, _> =
+            (0..slots).map(|_| publisher.loan_slice(channel.max_items.max(1))).collect();
+        drop(touched.map_err(|e| failed(&topic, "cannot touch its buffers", &e))?);
+        Ok(Self {
+            topic,
+            max_items: channel.max_items.max(1),
+            publisher,
+            wake,
+            identity,
+            seq: 0,
+            stop: stop.clone(),
+            started_ns: 0,
+            sent: 0,
+            _services: services,
+        })
+    }
+}
+
+impl<M: Message> Outlet<M> for ChannelSender<M> {
+    fn emit(
+        &mut self,
+        mut header: M::Header,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [M::Item]),
+    ) -> Result<(), StageError> {
+        if len > self.max_items {
+            return Err(StageError::Fatal(format!(
+                "channel {}: a message of {len} items does not fit the plan's {}",
+                self.topic, self.max_items
+            )));
+        }
+        let broken = |what: &str, e: &dyn std::fmt::Debug| {
+            StageError::Fatal(format!("channel {}: {what}: {e:?}", self.topic))
+        };
+        // Slices in shared memory have at least one item; receivers take the true length from the header.
+        let mut sample = self.publisher.loan_slice(len.max(1)).map_err(|e| broken("no free slot", &e))?;
+        if len > 0 {
+            fill(sample.payload_mut());
+        }
+        let now = now_ns();
+        header.mark(self.started_ns, now);
+        *header.stamp_mut() = self.identity.stamp(self.seq, now, len);
+        *sample.user_header_mut() = header;
+        match sample.send() {
+            Ok(_) => {}
+            Err(_) if self.stop.requested() => return Err(StageError::Stopped),
+            Err(e) => return Err(broken("cannot send", &e)),
+        }
+        self.seq += 1;
+        self.sent += 1;
+        // A full socket means that the subscriber has a wake-up waiting; it drains the channel whole.
+        let _ = self.wake.notify_with_custom_event_id(EventId::new(DATA));
+        Ok(())
+    }
+}
+
+/// The receiving end of a channel.
+#[derive(Debug)]
+pub(crate) struct ChannelReceiver<M: Message> {
+    topic: Topic,
+    subscriber: Subscriber<Ipc, [M::Item], M::Header>,
+    listener: Listener<Ipc>,
+    room: Option<Notifier<Ipc>>,
+    run_id: u64,
+    /// The next sequence number per sender (service, incarnation).
+    expected: HashMap<(u32, u32), u64>,
+    /// Messages that were sent and never came.
+    pub(crate) lost: u64,
+    /// Messages of another run, or longer than their payload.
+    pub(crate) refused: u64,
+    _services: ChannelServices<M>,
+}
+
+/// A message with what the receiver knows about it.
+#[derive(Debug)]
+pub(crate) struct Incoming<M: Message> {
+    sample: Received<M>,
+    /// Messages of this sender were lost just before this one.
+    pub(crate) gap: bool,
+}
+
+impl<M: Message> Incoming<M> {
+    pub(crate) fn header(&self) -> &M::Header {
+        self.sample.user_header()
+    }
+
+    pub(crate) fn payload(&self) -> &[M::Item] {
+        let items = self.header().stamp().items as usize;
+        &self.sample.payload()[..items.min(self.sample.payload().len())]
+    }
+}
+
+impl<M: Message> ChannelReceiver<M> {
+    pub(crate) fn new(services: ChannelServices<M>, run_id: u64) -> Result<Self, RuntimeError> {
+        let topic = services.channel.topic.clone();
+        let subscriber = services
+            .data
+            .subscriber_builder()
+            .buffer_size(services.channel.buffer)
+            .create()
+            .map_err(|e| failed(&topic, "cannot subscribe", &e))?;
+        let listener =
+            services.wake.listener_builder().create().map_err(|e| failed(&topic, "cannot listen", &e))?;
+        let room = services.channel.waits.then(|| services.room.notifier_builder().create());
+        let room = room.transpose().map_err(|e| failed(&topic, "cannot notify of room", &e))?;
+        Ok(Self {
+            topic,
+            subscriber,
+            listener,
+            room,
+            run_id,
+            expected: HashMap::new(),
+            lost: 0,
+            refused: 0,
+            _services: services,
+        })
+    }
+
+    /// What the wait set listens to.
+    pub(crate) fn listener(&self) -> &Listener<Ipc> {
+        &self.listener
+    }
+
+    /// The next message of this run, if there is one.
+    pub(crate) fn receive(&mut self) -> Result<Option<Incoming<M>>, RuntimeError> {
+        loop {
+            let received = self.subscriber.receive().map_err(|e| failed(&self.topic, "cannot receive", &e))?;
+            let Some(sample) = received else { return Ok(None) };
+            if let Some(room) = &self.room {
+                let _ = room.notify_with_custom_event_id(EventId::new(ROOM));
+            }
+            let stamp = *sample.user_header().stamp();
+            if stamp.run_id != self.run_id || stamp.items as usize > sample.payload().len() {
+                self.refused += 1;
+                continue;
+            }
+            let expected = self.expected.entry((stamp.service, stamp.incarnation)).or_insert(stamp.seq);
+            let gap = stamp.seq > *expected;
+            self.lost += stamp.seq.saturating_sub(*expected);
+            *expected = stamp.seq + 1;
+            return Ok(Some(Incoming { sample, gap }));
+        }
+    }
+}
+
+/// A message that only its channel's receivers may see; no stage emits it.
+pub(crate) struct NoOutlet;
+
+impl<M: Message> Outlet<M> for NoOutlet {
+    fn emit(&mut self, _: M::Header, _: usize, _: &mut dyn FnMut(&mut [M::Item])) -> Result<(), StageError> {
+        Ok(())
+    }
+}

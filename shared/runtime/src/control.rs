@@ -1,0 +1,166 @@
+//! The control socket of a running instance: one JSON request per connection, one JSON reply.
+
+use crate::RuntimeError;
+use crate::channel::WakeSender;
+use crate::domain::RunFolder;
+use crossbeam::channel::{Receiver, Sender, bounded};
+use serde::{Deserialize, Serialize};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+/// A client that does not say what it wants within this time is sent away.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Longest time until a change has taken effect and is answered.
+const REPLY_TIMEOUT: Duration = Duration::from_secs(10);
+const MAX_REQUEST_BYTES: u64 = 64 << 10;
+
+/// What can be asked of a running instance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "ask")]
+pub enum ControlRequest {
+    /// The members with their settings.
+    List,
+    /// Changes members from the next tick on.
+    Set {
+        /// Names; `all` stands for every member.
+        members: Vec<String>,
+        /// Whether they shall be enabled, if that changes.
+        enabled: Option<bool>,
+        /// Their weight, if that changes: finite, not negative.
+        weight: Option<f64>,
+    },
+}
+
+/// One member's settings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MemberState {
+    /// Its name.
+    pub name: String,
+    /// Whether it is enabled.
+    pub enabled: bool,
+    /// Its weight.
+    pub weight: f64,
+}
+
+/// The answer.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ControlReply {
+    /// Why the request was refused, if it was.
+    pub error: Option<String>,
+    /// The members as they are wanted now.
+    pub members: Vec<MemberState>,
+    /// The first tick at which a change is in force everywhere; none when no tick has opened since.
+    pub from_tick: Option<u64>,
+}
+
+impl ControlReply {
+    pub(crate) fn refusal(error: String) -> Self {
+        Self { error: Some(error), ..Self::default() }
+    }
+}
+
+/// A request with the way back.
+#[derive(Debug)]
+pub(crate) struct Asked {
+    pub(crate) request: ControlRequest,
+    pub(crate) reply: Sender<ControlReply>,
+}
+
+/// Takes requests on a thread of its own and hands them to the supervisor's loop.
+#[derive(Debug)]
+pub(crate) struct ControlServer {
+    path: PathBuf,
+    closing: Arc<AtomicBool>,
+    thread: Option<std::thread::JoinHandle<()>>,
+    pub(crate) requests: Receiver<Asked>,
+}
+
+impl ControlServer {
+    pub(crate) fn start(folder: &RunFolder, wake: WakeSender) -> Result<Self, RuntimeError> {
+        let path = folder.control_socket();
+        let failed =
+            |e: std::io::Error| RuntimeError::Folder(format!("cannot listen on {}: {e}", path.display()));
+        let listener = UnixListener::bind(&path).map_err(failed)?;
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).map_err(failed)?;
+        let (asked, requests) = bounded(4);
+        let closing = Arc::new(AtomicBool::new(false));
+        let closed = closing.clone();
+        let thread = std::thread::Builder::new()
+            .name("control".to_owned())
+            .spawn(move || {
+                for stream in listener.incoming() {
+                    if closed.load(Ordering::Acquire) {
+                        return;
+                    }
+                    if let Ok(stream) = stream {
+                        // A client that hangs up early is its own affair.
+                        let _ = serve(&stream, &asked, &wake);
+                    }
+                }
+            })
+            .map_err(|e| RuntimeError::Process(format!("cannot start a thread: {e}")))?;
+        Ok(Self { path, closing, thread: Some(thread), requests })
+    }
+}
+
+impl Drop for ControlServer {
+    fn drop(&mut self) {
+        self.closing.store(true, Ordering::Release);
+        // The accept loop looks at the flag when somebody knocks.
+        let knocked = UnixStream::connect(&self.path).is_ok();
+        if let (true, Some(thread)) = (knocked, self.thread.take()) {
+            let _ = thread.join();
+        }
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+fn serve(stream: &UnixStream, asked: &Sender<Asked>, wake: &WakeSender) -> std::io::Result<()> {
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.set_write_timeout(Some(PATIENCE))?;
+    let mut line = String::new();
+    BufReader::new(stream.take(MAX_REQUEST_BYTES)).read_line(&mut line)?;
+    let reply = match serde_json::from_str(&line) {
+        Ok(request) => {
+            let (reply, answered) = bounded(1);
+            let unanswered = || ControlReply::refusal("the instance is stopping".to_owned());
+            match asked.send(Asked { request, reply }) {
+                Ok(()) => {
+                    wake.wake();
+                    answered.recv_timeout(REPLY_TIMEOUT).unwrap_or_else(|_| unanswered())
+                }
+                Err(_) => unanswered(),
+            }
+        }
+        Err(e) => ControlReply::refusal(format!("cannot understand the request: {e}")),
+    };
+    let mut text = serde_json::to_string(&reply)?;
+    text.push('\n');
+    (&mut &*stream).write_all(text.as_bytes())
+}
+
+/// Asks the instance of this folder.
+///
+/// # Errors
+/// When no instance runs there, or it does not answer.
+pub fn request(folder: &RunFolder, request: &ControlRequest) -> Result<ControlReply, RuntimeError> {
+    let path = folder.control_socket();
+    let name = folder.path().file_name().unwrap_or_default().to_string_lossy();
+    let silent = |e: std::io::Error| RuntimeError::Folder(format!("the instance \"{name}\" does not answer: {e}"));
+    let stream = UnixStream::connect(&path).map_err(|e| {
+        RuntimeError::Folder(format!("no instance named \"{name}\" is running ({}: {e})", path.display()))
+    })?;
+    stream.set_read_timeout(Some(REPLY_TIMEOUT + PATIENCE)).map_err(silent)?;
+    let mut text = serde_json::to_string(request).map_err(|e| RuntimeError::Folder(e.to_string()))?;
+    text.push('\n');
+    (&mut &stream).write_all(text.as_bytes()).map_err(silent)?;
+    let mut line = String::new();
+    BufReader::new(&stream).read_line(&mut line).map_err(silent)?;
+    serde_json::from_str(&line)
+        .map_err(|e| RuntimeError::Folder(format!("the instance \"{name}\" answered nonsense: {e}")))
+}

@@ -1,0 +1,213 @@
+//! The run folder: where one instance keeps its lock, its plan, its sockets and iceoryx2's files; and the names
+//! that keep two instances apart.
+
+use crate::RuntimeError;
+use crate::channel::Ipc;
+use evpr_core::Plan;
+use evpr_core::message::MemberSetting;
+use iceoryx2::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File, TryLockError};
+use std::io::ErrorKind;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path as FsPath, PathBuf};
+
+/// Socket paths end below this; iceoryx2 adds some fifty characters to the folder.
+const MAX_FOLDER_BYTES: usize = 55;
+
+/// The folder of one instance, e.g. `/run/user/1000/evpr/corridor`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RunFolder {
+    path: PathBuf,
+}
+
+/// What the supervisor leaves in the run folder for its processes.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct RunSpec {
+    /// The run: differs from every other run's on this machine.
+    pub run_id: u64,
+    /// The plan.
+    pub plan: Plan,
+}
+
+/// Member settings in force, for an ingest that starts in the middle of a run.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Settings {
+    pub(crate) version: u64,
+    /// (enabled, weight) per member.
+    pub(crate) members: Vec<(bool, f64)>,
+}
+
+impl Settings {
+    pub(crate) fn of_plan(plan: &Plan) -> Self {
+        Self { version: 0, members: plan.members.iter().map(|m| (m.enabled, m.weight)).collect() }
+    }
+
+    pub(crate) fn messages(&self) -> Vec<MemberSetting> {
+        let message = |(enabled, weight): &(bool, f64)| MemberSetting {
+            weight: *weight,
+            enabled: u32::from(*enabled),
+            ..MemberSetting::default()
+        };
+        self.members.iter().map(message).collect()
+    }
+}
+
+fn io_error(what: &str, path: &FsPath, error: &std::io::Error) -> RuntimeError {
+    RuntimeError::Folder(format!("{what} {}: {error}", path.display()))
+}
+
+/// Writes a file whole or not at all: readers never see half of it.
+fn write_atomically(path: &FsPath, text: &str) -> Result<(), RuntimeError> {
+    let draft = path.with_extension("new");
+    fs::write(&draft, text).map_err(|e| io_error("cannot write", &draft, &e))?;
+    fs::rename(&draft, path).map_err(|e| io_error("cannot write", path, &e))
+}
+
+impl RunFolder {
+    /// The folder of the instance `name`: under `$EVPR_RUN_DIR`, else `$XDG_RUNTIME_DIR/evpr`, else `/tmp/evpr-<uid>`.
+    pub fn of_instance(name: &str) -> Self {
+        let root = std::env::var_os("EVPR_RUN_DIR")
+            .map(PathBuf::from)
+            .or_else(|| std::env::var_os("XDG_RUNTIME_DIR").map(|dir| PathBuf::from(dir).join("evpr")))
+            .unwrap_or_else(|| PathBuf::from(format!("/tmp/evpr-{}", nix::unistd::getuid())));
+        Self { path: root.join(name) }
+    }
+
+    /// The folder at this path.
+    pub fn at(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &FsPath {
+        &self.path
+    }
+
+    /// The socket that takes control requests.
+    pub(crate) fn control_socket(&self) -> PathBuf {
+        self.path.join("control.sock")
+    }
+
+    fn ipc_root(&self) -> PathBuf {
+        self.path.join("ipc")
+    }
+
+    /// Begins the names of everything that this instance puts into shared memory.
+    pub(crate) fn prefix(&self) -> String {
+        // FNV-1a of the folder: one folder, one prefix.
+        let hash = self.path.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325u64, |h, b| {
+            (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)
+        });
+        format!("evpr{:010x}_", hash & 0xff_ffff_ffff)
+    }
+
+    /// Creates the folder (for its owner alone) and locks it; the lock lasts as long as the returned file.
+    ///
+    /// # Errors
+    /// When another instance of this name runs, or the folder cannot be made.
+    pub(crate) fn lock(&self) -> Result<File, RuntimeError> {
+        if self.path.as_os_str().len() > MAX_FOLDER_BYTES {
+            return Err(RuntimeError::Folder(format!(
+                "the run folder {} is too long a path for sockets; set EVPR_RUN_DIR to a shorter one",
+                self.path.display()
+            )));
+        }
+        fs::create_dir_all(&self.path).map_err(|e| io_error("cannot create", &self.path, &e))?;
+        let owner_only = fs::Permissions::from_mode(0o700);
+        fs::set_permissions(&self.path, owner_only).map_err(|e| io_error("cannot protect", &self.path, &e))?;
+        let path = self.path.join("lock");
+        let file = File::options()
+            .create(true)
+            .truncate(false)
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(|e| io_error("cannot open", &path, &e))?;
+        match file.try_lock() {
+            Ok(()) => Ok(file),
+            Err(TryLockError::WouldBlock) => Err(RuntimeError::Folder(format!(
+                "an instance named \"{}\" is running already; give this one another name with --name",
+                self.path.file_name().unwrap_or_default().to_string_lossy()
+            ))),
+            Err(TryLockError::Error(e)) => Err(io_error("cannot lock", &path, &e)),
+        }
+    }
+
+    /// Removes what a run leaves behind in shared memory and in the folder (all but the lock). Only for the holder of
+    /// the lock, while none of its processes runs. Returns how many files in shared memory there were.
+    pub(crate) fn sweep(&self) -> usize {
+        let prefix = self.prefix();
+        let mut swept = 0;
+        if let Ok(entries) = fs::read_dir("/dev/shm") {
+            for entry in entries.flatten() {
+                let ours = entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes());
+                if ours && fs::remove_file(entry.path()).is_ok() {
+                    swept += 1;
+                }
+            }
+        }
+        let _ = fs::remove_dir_all(self.ipc_root());
+        for file in ["control.sock", "run.json", "settings.json"] {
+            let _ = fs::remove_file(self.path.join(file));
+        }
+        swept
+    }
+
+    /// Removes the folder itself, and its parent if that is empty then.
+    pub(crate) fn remove(&self) {
+        let _ = fs::remove_file(self.path.join("lock"));
+        let _ = fs::remove_dir(&self.path);
+        if let Some(parent) = self.path.parent() {
+            let _ = fs::remove_dir(parent);
+        }
+    }
+
+    /// Leaves the plan for the processes.
+    pub(crate) fn write_spec(&self, spec: &RunSpec) -> Result<(), RuntimeError> {
+        let text = serde_json::to_string(spec).map_err(|e| RuntimeError::Folder(e.to_string()))?;
+        write_atomically(&self.path.join("run.json"), &text)
+    }
+
+    /// Reads the plan.
+    ///
+    /// # Errors
+    /// When there is none or it cannot be read.
+    pub fn read_spec(&self) -> Result<RunSpec, RuntimeError> {
+        let path = self.path.join("run.json");
+        let text = fs::read_to_string(&path).map_err(|e| io_error("cannot read", &path, &e))?;
+        serde_json::from_str(&text)
+            .map_err(|e| RuntimeError::Folder(format!("cannot understand {}: {e}", path.display())))
+    }
+
+    pub(crate) fn write_settings(&self, settings: &Settings) -> Result<(), RuntimeError> {
+        let text = serde_json::to_string(settings).map_err(|e| RuntimeError::Folder(e.to_string()))?;
+        write_atomically(&self.path.join("settings.json"), &text)
+    }
+
+    pub(crate) fn read_settings(&self) -> Result<Option<Settings>, RuntimeError> {
+        let path = self.path.join("settings.json");
+        match fs::read_to_string(&path) {
+            Ok(text) => serde_json::from_str(&text)
+                .map(Some)
+                .map_err(|e| RuntimeError::Folder(format!("cannot understand {}: {e}", path.display()))),
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(io_error("cannot read", &path, &e)),
+        }
+    }
+
+    /// A node of this instance. iceoryx2's own signal handling is off: [`crate::Stop`] does it.
+    pub(crate) fn node(&self, name: &str) -> Result<Node<Ipc>, RuntimeError> {
+        let bad = |e| RuntimeError::ipc(format!("cannot use {} for shared memory", self.path.display()), e);
+        let mut config = Config::default();
+        config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad)?;
+        config.global.set_root_path(&Path::new(self.ipc_root().as_os_str().as_encoded_bytes()).map_err(bad)?);
+        let node_name = NodeName::new(name).map_err(|e| RuntimeError::ipc("bad node name", e))?;
+        NodeBuilder::new()
+            .name(&node_name)
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<Ipc>()
+            .map_err(|e| RuntimeError::ipc("cannot create a node in shared memory", e))
+    }
+}

@@ -1,0 +1,126 @@
+//! The process that reads and cuts events.
+
+use super::ServiceContext;
+use crate::RuntimeError;
+use crate::channel::{ChannelReceiver, ChannelSender};
+use crate::clock::now_ns;
+use crate::domain::Settings;
+use crate::telemetry::HEARTBEAT;
+use crate::wait::{Waiter, wait_set};
+use evpr_core::message::{ChunkHeader, Chunks, Control, Event, MemberSetting, ServicePhase, TickHeader, Ticks};
+use evpr_core::plan::Topic;
+use evpr_core::stage::{IngestPort, Outlet, StageError};
+use std::time::Duration;
+use tracing::{debug, warn};
+
+struct Port {
+    ctx: ServiceContext,
+    chunks: ChannelSender<Chunks>,
+    ticks: ChannelSender<Ticks>,
+    control: ChannelReceiver<Control>,
+    /// Settings that were in force before this process was started, until they are asked for.
+    inherited: Option<Settings>,
+    version: u64,
+}
+
+impl IngestPort for Port {
+    fn now_ns(&self) -> u64 {
+        now_ns()
+    }
+
+    fn chunk(
+        &mut self,
+        header: ChunkHeader,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [Event]),
+    ) -> Result<(), StageError> {
+        let started = now_ns();
+        self.chunks.started_ns = started;
+        self.chunks.emit(header, len, fill)?;
+        let stats = &mut self.ctx.telemetry.stats;
+        stats.processing.record(now_ns().saturating_sub(started));
+        stats.emitted += 1;
+        Ok(())
+    }
+
+    fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError> {
+        self.ticks.emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
+    }
+
+    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
+        let mut newest = self.inherited.take().map(|s| (s.version, s.messages()));
+        loop {
+            match self.control.receive() {
+                Ok(Some(message)) => newest = Some((message.header().version, message.payload().to_vec())),
+                Ok(None) => break,
+                Err(e) => {
+                    warn!("member settings cannot be received: {e}");
+                    break;
+                }
+            }
+        }
+        let (version, settings) = newest.filter(|(version, _)| *version > self.version)?;
+        self.version = version;
+        Some((version, settings))
+    }
+
+    fn wait_until(&mut self, ns: u64) -> Result<(), StageError> {
+        loop {
+            let now = now_ns();
+            if now >= ns {
+                return Ok(());
+            }
+            let pause = Duration::from_nanos(ns - now).min(HEARTBEAT);
+            match self.ctx.stop.signal().recv_timeout(pause) {
+                Err(crossbeam::channel::RecvTimeoutError::Timeout) => {
+                    self.ctx.telemetry.beat().map_err(|e| StageError::Fatal(e.to_string()))?;
+                }
+                _ => return Err(StageError::Stopped),
+            }
+        }
+    }
+
+    fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64) {
+        let stats = &mut self.ctx.telemetry.stats;
+        stats.progress_permille = permille;
+        stats.next_tick = next_tick;
+        stats.events = events;
+        stats.skipped = skipped;
+        if let Err(e) = self.ctx.telemetry.beat() {
+            warn!("progress cannot be reported: {e}");
+        }
+    }
+}
+
+/// Runs ingest: `work` is given the port and returns when its stream has ended, the end included. The process then
+/// stays until it is asked to stop, so that what it sent can still be read.
+///
+/// # Errors
+/// When shared memory fails or `work` does.
+pub fn run_ingest(
+    ctx: ServiceContext,
+    work: impl FnOnce(&mut dyn IngestPort) -> Result<(), StageError>,
+) -> Result<(), RuntimeError> {
+    // The end is sent even after a first request to stop: only a second one gives up waiting for room.
+    let chunks = ctx.sender(&Topic::Events, 2)?;
+    let ticks = ctx.sender(&Topic::Ticks, 2)?;
+    let control = ctx.receiver(&Topic::Control)?;
+    let inherited = ctx.folder.read_settings()?;
+    let mut port = Port { ctx, chunks, ticks, control, inherited, version: 0 };
+    port.ctx.telemetry.phase(ServicePhase::Ready)?;
+    debug!("ready");
+    let outcome = work(&mut port);
+    let stopped_by = port.ctx.stop.count();
+    port.ctx.telemetry.phase(ServicePhase::Done)?;
+    let set = wait_set()?;
+    let waiter = Waiter::new(&set, vec![&port.ctx.wake])?;
+    // A failed source has sent its end too; what came before it is answered before the failure is reported.
+    while port.ctx.stop.count() <= stopped_by {
+        waiter.wait(HEARTBEAT)?;
+        port.ctx.telemetry.beat()?;
+    }
+    match outcome {
+        Ok(()) | Err(StageError::Stopped) => Ok(()),
+        Err(e) => Err(RuntimeError::Stage(e.to_string())),
+    }
+}

@@ -1,0 +1,155 @@
+//! The loop of the fuser and the recorder.
+
+use super::ServiceContext;
+use crate::RuntimeError;
+use crate::channel::{ChannelReceiver, ChannelSender, NoOutlet};
+use crate::clock::now_ns;
+use crate::telemetry::{HEARTBEAT, RateLimit};
+use crate::wait::{Waiter, wait_set};
+use evpr_core::message::{Descriptors, Header, Lifecycle, Matches, ServicePhase, ServiceState, Ticks};
+use evpr_core::plan::Topic;
+use evpr_core::stage::{Outlet, Sink, StageError};
+use std::time::Duration;
+use tracing::{debug, warn};
+
+/// Messages taken from one channel before the others have their turn.
+const BATCH: usize = 32;
+
+struct Inputs {
+    rows: Vec<ChannelReceiver<Descriptors>>,
+    ticks: ChannelReceiver<Ticks>,
+    lifecycle: ChannelReceiver<Lifecycle>,
+    /// The newest word on who is dead, until every row sent before it has been taken.
+    dead: Option<Vec<ServiceState>>,
+    warnings: RateLimit,
+}
+
+impl Inputs {
+    fn open(ctx: &ServiceContext) -> Result<Self, RuntimeError> {
+        let topic = |id: &String| Topic::Descriptors(id.clone());
+        let rows = ctx.plan.extractors.iter().map(|e| ctx.receiver(&topic(&e.id))).collect::<Result<_, _>>()?;
+        Ok(Self {
+            rows,
+            ticks: ctx.receiver(&Topic::Ticks)?,
+            lifecycle: ctx.receiver(&Topic::Lifecycle)?,
+            dead: None,
+            warnings: RateLimit::default(),
+        })
+    }
+
+    /// One turn over all channels; true when something came.
+    fn turn(&mut self, ctx: &mut ServiceContext, sink: &mut dyn Sink) -> Result<bool, RuntimeError> {
+        let mut came = false;
+        let mut rows_left = false;
+        while let Some(message) = self.lifecycle.receive()? {
+            self.dead = Some(message.payload().to_vec());
+        }
+        for _ in 0..BATCH {
+            let Some(message) = self.ticks.receive()? else { break };
+            came = true;
+            let outcome = sink.tick(message.header(), message.payload());
+            self.skipped(ctx, message.header().tick, outcome)?;
+        }
+        for index in 0..self.rows.len() {
+            let mut taken = 0;
+            while taken < BATCH {
+                let Some(message) = self.rows[index].receive()? else { break };
+                taken += 1;
+                let started = now_ns();
+                let outcome = sink.descriptor(message.header(), message.payload());
+                let stats = &mut ctx.telemetry.stats;
+                stats.received += 1;
+                stats.waiting.record(started.saturating_sub(message.header().stamp().sent_ns));
+                self.skipped(ctx, message.header().tick, outcome)?;
+            }
+            came |= taken > 0;
+            rows_left |= taken == BATCH;
+        }
+        if !rows_left && let Some(dead) = self.dead.take() {
+            sink.lifecycle(&dead);
+        }
+        let stats = &mut ctx.telemetry.stats;
+        stats.dropped = self.rows.iter().map(|r| r.lost).sum();
+        stats.refused = self.rows.iter().map(|r| r.refused).sum::<u64>() + self.ticks.refused;
+        Ok(came)
+    }
+
+    fn skipped(
+        &mut self,
+        ctx: &mut ServiceContext,
+        tick: u64,
+        outcome: Result<(), StageError>,
+    ) -> Result<(), RuntimeError> {
+        match outcome {
+            Ok(()) | Err(StageError::Stopped) => Ok(()),
+            Err(StageError::Skip(what)) => {
+                ctx.telemetry.stats.skipped += 1;
+                if let Some(held_back) = self.warnings.pass() {
+                    warn!(tick, held_back, "{what}");
+                }
+                Ok(())
+            }
+            Err(e) => Err(RuntimeError::Stage(e.to_string())),
+        }
+    }
+}
+
+/// Runs a sink until its stream has ended and it is asked to stop. `answers` says whether it publishes matches.
+///
+/// # Errors
+/// When shared memory fails or the sink cannot go on.
+pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> Result<(), RuntimeError> {
+    let mut inputs = Inputs::open(&ctx)?;
+    let mut matches: Option<ChannelSender<Matches>> =
+        if answers { Some(ctx.sender(&Topic::Matches, 1)?) } else { None };
+    ctx.telemetry.stats.next_tick = sink.next_tick();
+    ctx.telemetry.phase(ServicePhase::Ready)?;
+    debug!(service = ctx.service.name, next_tick = sink.next_tick(), "ready");
+    let set = wait_set()?;
+    let mut done = false;
+    while !ctx.stop.requested() {
+        {
+            let mut listeners: Vec<_> = inputs.rows.iter().map(ChannelReceiver::listener).collect();
+            listeners.extend([inputs.ticks.listener(), inputs.lifecycle.listener(), &ctx.wake]);
+            Waiter::new(&set, listeners)?.wait(timeout(sink.deadline_ns()))?;
+        }
+        loop {
+            let came = inputs.turn(&mut ctx, sink)?;
+            let started = now_ns();
+            let before = sink.next_tick();
+            let outlet: &mut dyn Outlet<Matches> = match &mut matches {
+                Some(sender) => sender,
+                None => &mut NoOutlet,
+            };
+            match sink.settle(started, outlet) {
+                Ok(()) | Err(StageError::Stopped) => {}
+                Err(e) => return Err(RuntimeError::Stage(e.to_string())),
+            }
+            let stats = &mut ctx.telemetry.stats;
+            stats.next_tick = sink.next_tick();
+            let settled = sink.next_tick() - before;
+            if settled > 0 {
+                stats.processing.record(now_ns().saturating_sub(started) / settled);
+                stats.emitted += settled;
+            }
+            ctx.telemetry.beat()?;
+            if !done && sink.finished() {
+                done = true;
+                sink.close().map_err(|e| RuntimeError::Stage(e.to_string()))?;
+                ctx.telemetry.phase(ServicePhase::Done)?;
+            }
+            if !came || ctx.stop.requested() {
+                break;
+            }
+        }
+    }
+    if !done {
+        sink.close().map_err(|e| RuntimeError::Stage(e.to_string()))?;
+    }
+    ctx.telemetry.send()
+}
+
+fn timeout(deadline_ns: Option<u64>) -> Duration {
+    let due = deadline_ns.map_or(Duration::MAX, |due| Duration::from_nanos(due.saturating_sub(now_ns())));
+    due.min(HEARTBEAT)
+}

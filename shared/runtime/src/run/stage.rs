@@ -1,0 +1,141 @@
+//! The loop of reconstructions and extractors.
+
+use super::ServiceContext;
+use crate::RuntimeError;
+use crate::channel::{ChannelReceiver, ChannelSender, Incoming};
+use crate::clock::now_ns;
+use crate::telemetry::{HEARTBEAT, RateLimit};
+use crate::wait::{Waiter, wait_set};
+use evpr_core::message::{Header, ServicePhase, TickKind, Ticks};
+use evpr_core::plan::{Delivery, Topic};
+use evpr_core::stage::{Stage, StageError};
+use std::collections::VecDeque;
+use tracing::{debug, warn};
+
+/// Ticks that may lie between the one in hand and the newest before the stage counts as behind: what the buffers of
+/// `latest` delivery hold.
+const TICKS_IN_BUFFER: u64 = 2;
+
+/// Decides once per tick whether it is dropped, so that a tick goes whole or not at all.
+#[derive(Debug, Default)]
+struct TickDrop {
+    newest: u64,
+    decided: VecDeque<(u64, bool)>,
+}
+
+impl TickDrop {
+    const MEMORY: usize = 16;
+
+    fn drops(&mut self, tick: u64, gap: bool) -> bool {
+        if let Some((_, drop)) = self.decided.iter().find(|(t, _)| *t == tick) {
+            return *drop;
+        }
+        let drop = gap || tick + TICKS_IN_BUFFER < self.newest;
+        if self.decided.len() == Self::MEMORY {
+            self.decided.pop_front();
+        }
+        self.decided.push_back((tick, drop));
+        drop
+    }
+}
+
+struct Loop<'a, S: Stage> {
+    stage: &'a mut S,
+    sender: ChannelSender<S::Out>,
+    ticks: Option<ChannelReceiver<Ticks>>,
+    drop: TickDrop,
+    warnings: RateLimit,
+}
+
+impl<S: Stage> Loop<'_, S> {
+    fn newest_tick(&mut self) -> Result<(), RuntimeError> {
+        if let Some(ticks) = &mut self.ticks {
+            while let Some(message) = ticks.receive()? {
+                if message.header().kind == TickKind::Open as u32 {
+                    self.drop.newest = self.drop.newest.max(message.header().tick);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, ctx: &mut ServiceContext, message: &Incoming<S::In>) -> Result<(), StageError> {
+        let header = message.header();
+        let started = now_ns();
+        let stats = &mut ctx.telemetry.stats;
+        stats.received += 1;
+        stats.waiting.record(started.saturating_sub(header.stamp().sent_ns));
+        self.sender.started_ns = started;
+        let dropped = self.ticks.is_some() && self.drop.drops(header.tick(), message.gap);
+        let outcome = if dropped {
+            stats.dropped += 1;
+            self.stage.skip_dropped(header, &mut self.sender)
+        } else {
+            self.stage.process(header, message.payload(), &mut self.sender)
+        };
+        stats.processing.record(now_ns().saturating_sub(started));
+        stats.emitted = self.sender.sent;
+        stats.events = self.stage.events();
+        match outcome {
+            Err(StageError::Skip(what)) => {
+                stats.skipped += 1;
+                if let Some(held_back) = self.warnings.pass() {
+                    warn!(tick = header.tick(), held_back, "{what}");
+                }
+                Ok(())
+            }
+            other => other,
+        }
+    }
+}
+
+/// Runs a stage until it is asked to stop.
+///
+/// # Errors
+/// When shared memory fails or the stage cannot go on.
+pub fn run_stage<S: Stage>(
+    mut ctx: ServiceContext,
+    inputs: &[Topic],
+    output: &Topic,
+    stage: &mut S,
+) -> Result<(), RuntimeError> {
+    let mut receivers =
+        inputs.iter().map(|topic| ctx.receiver::<S::In>(topic)).collect::<Result<Vec<_>, _>>()?;
+    let latest = ctx.plan.delivery == Delivery::Latest;
+    let ticks = if latest { Some(ctx.receiver::<Ticks>(&Topic::Ticks)?) } else { None };
+    let sender = ctx.sender(output, 1)?;
+    let mut state = Loop { stage, sender, ticks, drop: TickDrop::default(), warnings: RateLimit::default() };
+    ctx.telemetry.phase(ServicePhase::Ready)?;
+    debug!(service = ctx.service.name, "ready");
+    let set = wait_set()?;
+    loop {
+        {
+            let mut listeners: Vec<_> = receivers.iter().map(ChannelReceiver::listener).collect();
+            listeners.push(&ctx.wake);
+            Waiter::new(&set, listeners)?.wait(HEARTBEAT)?;
+        }
+        let mut came = true;
+        while came {
+            came = false;
+            state.newest_tick()?;
+            for receiver in &mut receivers {
+                if ctx.stop.requested() {
+                    return ctx.telemetry.send();
+                }
+                if let Some(message) = receiver.receive()? {
+                    came = true;
+                    match state.take(&mut ctx, &message) {
+                        Ok(()) | Err(StageError::Stopped) => {}
+                        Err(e) => return Err(RuntimeError::Stage(e.to_string())),
+                    }
+                }
+            }
+            let stats = &mut ctx.telemetry.stats;
+            stats.refused = receivers.iter().map(|r| r.refused).sum();
+            ctx.telemetry.beat()?;
+        }
+        if ctx.stop.requested() {
+            return ctx.telemetry.send();
+        }
+    }
+}

@@ -1,0 +1,601 @@
+//! The supervisor's loop.
+
+use super::Spawn;
+use super::members::Members;
+use super::process::{Exit, Process};
+use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc};
+use crate::control::ControlServer;
+use crate::domain::{RunFolder, RunSpec};
+use crate::run::Identity;
+use crate::stop::{SignalListener, Stop, wake_pair};
+use crate::wait::{Waiter, wait_set};
+use crate::{RuntimeError, now_ns, shm};
+use evpr_core::Plan;
+use evpr_core::message::{
+    Candidate, Chunks, Control, ControlHeader, Descriptors, Frames, Header, Lifecycle, LifecycleHeader, MatchHeader,
+    Matches, Message, ServiceHealth, ServicePhase, Stats, StatsHeader, TickKind, Ticks,
+};
+use evpr_core::plan::{Delivery, SequenceMethod, Service, ServiceKind, Topic};
+use evpr_core::stage::Outlet;
+use iceoryx2::node::Node;
+use iceoryx2::port::listener::Listener;
+use nix::sys::signal::Signal;
+use std::any::Any;
+use std::fs::File;
+use std::process::Command;
+use std::time::{Duration, Instant};
+use tracing::{info, warn};
+
+/// The supervisor looks after dead nodes at least this often, should a death notice be missed.
+const ROUND: Duration = Duration::from_millis(250);
+/// Time that the graph has after Ctrl-C to finish the ticks under way.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
+/// Time that a process has to end after SIGTERM.
+const EXIT_TIMEOUT: Duration = Duration::from_secs(10);
+/// The supervisor's own number in stamps.
+const SUPERVISOR: u32 = u32::MAX;
+
+/// How a run ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Its input ended and everything was answered.
+    Finished,
+    /// By SIGTERM, in an orderly way.
+    Stopped,
+    /// By Ctrl-C.
+    Interrupted,
+    /// A process failed; it has said why.
+    Failed,
+}
+
+/// How far a run is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Progress {
+    /// Permille of the recording that is read; 0 when not known.
+    pub permille: u64,
+    /// Events sent so far.
+    pub events: u64,
+    /// Ticks answered so far.
+    pub answers: u64,
+    /// Ticks recorded so far.
+    pub recorded: u64,
+}
+
+/// What one process did.
+#[derive(Debug, Clone)]
+pub struct ServiceReport {
+    /// Its name.
+    pub name: String,
+    /// Restarts after deaths.
+    pub restarts: u64,
+    /// Counters of its last incarnation.
+    pub stats: StatsHeader,
+}
+
+/// What a run came to.
+#[derive(Debug, Clone)]
+pub struct RunSummary {
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Ticks answered.
+    pub answers: u64,
+    /// Per process.
+    pub services: Vec<ServiceReport>,
+}
+
+/// What the caller hears while the graph runs.
+pub trait Hooks {
+    /// One answer, in order of ticks, each tick once.
+    ///
+    /// # Errors
+    /// One line; the run then ends as failed.
+    fn answer(&mut self, header: &MatchHeader, candidates: &[Candidate]) -> Result<(), String>;
+
+    /// A few times per second.
+    fn progress(&mut self, progress: &Progress);
+}
+
+/// Where the run stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum State {
+    /// Ingest is held back until everybody else is ready.
+    Starting,
+    Running,
+    /// Ingest was asked to end; the rest finishes what is under way.
+    Draining { since: Instant },
+    /// Ending everything, upstream first.
+    Stopping,
+}
+
+/// See the module.
+pub struct Supervisor {
+    plan: Plan,
+    folder: RunFolder,
+    command: Box<dyn Fn(&Service, &Spawn) -> Command>,
+    processes: Vec<Process>,
+    state: State,
+    epoch: u32,
+    next_answer: u64,
+    answers: u64,
+    failed: bool,
+    members: Members,
+    lifecycle_version: u64,
+    last_cleanup: Instant,
+    ports: Ports,
+    wake: Listener<Ipc>,
+    control: ControlServer,
+    stop: Stop,
+    _signals: SignalListener,
+    // Channels without a port of the supervisor's: held so that their sizes are the plan's.
+    _held: Vec<Box<dyn Any>>,
+    node: Node<Ipc>,
+    _lock: File,
+}
+
+struct Ports {
+    stats: ChannelReceiver<Stats>,
+    ticks: ChannelReceiver<Ticks>,
+    matches: Option<ChannelReceiver<Matches>>,
+    lifecycle: ChannelSender<Lifecycle>,
+    control: ChannelSender<Control>,
+}
+
+fn hold<M: Message>(node: &Node<Ipc>, plan: &Plan, topic: &Topic) -> Result<ChannelServices<M>, RuntimeError> {
+    let channel = plan.channel(topic).ok_or_else(|| RuntimeError::Ipc(format!("no channel {topic}")))?;
+    ChannelServices::open(node, &channel)
+}
+
+impl Supervisor {
+    /// Takes the run folder, checks the room in shared memory and creates the channels. `command` makes the command
+    /// line of one process.
+    ///
+    /// # Errors
+    /// When an instance of this name runs, shared memory is too small, or the folder cannot be used.
+    pub fn new(
+        plan: Plan,
+        folder: RunFolder,
+        command: Box<dyn Fn(&Service, &Spawn) -> Command>,
+    ) -> Result<Self, RuntimeError> {
+        let lock = folder.lock()?;
+        let swept = folder.sweep();
+        if swept > 0 {
+            info!("removed {swept} files that an earlier run of this instance had left in shared memory");
+        }
+        shm::check(&plan)?;
+        let run_id = now_ns() ^ (u64::from(std::process::id()) << 40);
+        folder.write_spec(&RunSpec { run_id, plan: plan.clone() })?;
+        let members = Members::new(&plan);
+        let node = folder.node("supervisor")?;
+        let (wake_sender, wake) = wake_pair(&node, "supervisor")?;
+        let (stop, signals) = Stop::listen(wake_sender.clone(), true)?;
+        let identity = Identity { run_id, service: SUPERVISOR, incarnation: 1 };
+        let mut held: Vec<Box<dyn Any>> = vec![Box::new(hold::<Chunks>(&node, &plan, &Topic::Events)?)];
+        for r in &plan.reconstructions {
+            held.push(Box::new(hold::<Frames>(&node, &plan, &Topic::Frames(r.id.clone()))?));
+        }
+        for e in &plan.extractors {
+            held.push(Box::new(hold::<Descriptors>(&node, &plan, &Topic::Descriptors(e.id.clone()))?));
+        }
+        let has_fuse = plan.map.is_some();
+        let matches = if has_fuse {
+            Some(ChannelReceiver::new(hold(&node, &plan, &Topic::Matches)?, run_id)?)
+        } else {
+            None
+        };
+        let ports = Ports {
+            stats: ChannelReceiver::new(hold(&node, &plan, &Topic::Stats)?, run_id)?,
+            ticks: ChannelReceiver::new(hold(&node, &plan, &Topic::Ticks)?, run_id)?,
+            matches,
+            lifecycle: ChannelSender::new(hold(&node, &plan, &Topic::Lifecycle)?, identity, &stop, 1)?,
+            control: ChannelSender::new(hold(&node, &plan, &Topic::Control)?, identity, &stop, 1)?,
+        };
+        let control = ControlServer::start(&folder, wake_sender)?;
+        let processes = plan.services().into_iter().map(Process::new).collect();
+        Ok(Self {
+            plan,
+            folder,
+            command,
+            processes,
+            state: State::Starting,
+            epoch: 0,
+            next_answer: 0,
+            answers: 0,
+            failed: false,
+            members,
+            lifecycle_version: 0,
+            last_cleanup: Instant::now(),
+            ports,
+            wake,
+            control,
+            stop,
+            _signals: signals,
+            _held: held,
+            node,
+            _lock: lock,
+        })
+    }
+
+    /// Runs the graph to its end.
+    ///
+    /// # Errors
+    /// When shared memory fails or a process cannot be started; everything is taken down then too.
+    pub fn run(mut self, hooks: &mut dyn Hooks) -> Result<RunSummary, RuntimeError> {
+        let outcome = self.supervise(hooks);
+        if outcome.is_err() {
+            for process in &self.processes {
+                process.signal(Signal::SIGKILL);
+            }
+        }
+        // Whatever is still there is waited for, so that the sweep below finds nobody at work.
+        for process in &mut self.processes {
+            if let Some(mut child) = process.child.take() {
+                let _ = child.wait();
+            }
+        }
+        self.clean_up_nodes();
+        let services = self.processes.iter().map(|p| ServiceReport {
+            name: p.service.name.clone(),
+            restarts: p.restarts,
+            stats: p.stats,
+        });
+        let services = services.collect();
+        let answers = self.answers;
+        let Self { folder, ports, wake, control, _signals, _held, node, _lock, .. } = self;
+        drop((control, ports, wake, _signals, _held));
+        drop(node);
+        folder.sweep();
+        folder.remove();
+        drop(_lock);
+        Ok(RunSummary { outcome: outcome?, answers, services })
+    }
+
+    fn supervise(&mut self, hooks: &mut dyn Hooks) -> Result<Outcome, RuntimeError> {
+        let now = Instant::now();
+        for process in &mut self.processes {
+            process.start_at = (process.service.kind != ServiceKind::Ingest).then_some(now);
+        }
+        self.start_due()?;
+        while self.state != State::Stopping {
+            self.wait(self.next_timer())?;
+            self.hear(hooks)?;
+            for (index, exit, status) in self.reap() {
+                self.ended(index, exit, &status, hooks)?;
+            }
+            self.start_due()?;
+            self.look_after_nodes();
+            self.take_requests()?;
+            self.advance();
+        }
+        self.take_down(hooks)?;
+        Ok(match (self.failed, self.stop.requested(), self.stop.interrupted()) {
+            (true, _, _) => Outcome::Failed,
+            (_, _, true) => Outcome::Interrupted,
+            (_, true, _) => Outcome::Stopped,
+            _ => Outcome::Finished,
+        })
+    }
+
+    fn wait(&self, timeout: Duration) -> Result<(), RuntimeError> {
+        let set = wait_set()?;
+        let mut listeners = vec![&self.wake, self.ports.stats.listener(), self.ports.ticks.listener()];
+        listeners.extend(self.ports.matches.as_ref().map(ChannelReceiver::listener));
+        Waiter::new(&set, listeners)?.wait(timeout)
+    }
+
+    fn next_timer(&self) -> Duration {
+        let now = Instant::now();
+        let due = self.processes.iter().filter_map(|p| p.start_at).map(|t| t.saturating_duration_since(now));
+        due.min().unwrap_or(ROUND).min(ROUND)
+    }
+
+    /// Takes everything that has come: answers, stats, ticks.
+    fn hear(&mut self, hooks: &mut dyn Hooks) -> Result<(), RuntimeError> {
+        self.take_answers(hooks)?;
+        while let Some(message) = self.ports.ticks.receive()? {
+            let header = message.header();
+            if header.kind == TickKind::Open as u32 {
+                self.members.opened(header.tick, header.control_version);
+            }
+        }
+        let mut heard = false;
+        while let Some(message) = self.ports.stats.receive()? {
+            heard = true;
+            let stats = *message.header();
+            let index = stats.stamp.service as usize;
+            let Some(process) = self.processes.get_mut(index) else { continue };
+            if stats.stamp.incarnation != process.incarnation {
+                continue;
+            }
+            let was_ready = process.in_phase(ServicePhase::Ready);
+            process.stats = stats;
+            if !was_ready && process.in_phase(ServicePhase::Ready) {
+                self.became_ready(index)?;
+            }
+        }
+        if heard {
+            hooks.progress(&self.progress());
+        }
+        Ok(())
+    }
+
+    fn progress(&self) -> Progress {
+        let of = |kind| self.processes.iter().find(|p| p.service.kind == kind).map(|p| &p.stats);
+        let ingest = of(ServiceKind::Ingest);
+        Progress {
+            permille: ingest.map_or(0, |s| s.progress_permille),
+            events: ingest.map_or(0, |s| s.events),
+            answers: self.answers,
+            recorded: of(ServiceKind::Record).map_or(0, |s| s.next_tick),
+        }
+    }
+
+    fn take_answers(&mut self, hooks: &mut dyn Hooks) -> Result<(), RuntimeError> {
+        let Some(matches) = &mut self.ports.matches else { return Ok(()) };
+        while let Some(message) = matches.receive()? {
+            let header = message.header();
+            if header.tick() < self.next_answer {
+                continue; // answered by a fuser that has died since
+            }
+            self.next_answer = header.tick() + 1;
+            self.answers += 1;
+            let count = (header.candidates as usize).min(message.payload().len());
+            if let Err(line) = hooks.answer(header, &message.payload()[..count]) {
+                if !self.failed {
+                    tracing::error!("{line}");
+                }
+                self.failed = true;
+                self.state = State::Stopping;
+            }
+        }
+        Ok(())
+    }
+
+    fn became_ready(&mut self, index: usize) -> Result<(), RuntimeError> {
+        let process = &mut self.processes[index];
+        process.health = ServiceHealth::Up;
+        if process.incarnation > 1 && !process.sent_back {
+            info!("{} is back", process.service.name);
+        }
+        process.sent_back = false;
+        let (sink, kind, again) = (process.is_sink(), process.service.kind, process.incarnation > 1);
+        if sink {
+            self.publish_lifecycle()?;
+        }
+        if kind == ServiceKind::Ingest {
+            self.publish_control()?;
+        }
+        if sink && again && self.plan.delivery == Delivery::Lossless && self.state == State::Running {
+            self.send_ingest_back();
+        }
+        Ok(())
+    }
+
+    /// The first tick that some sink still needs.
+    fn needed_tick(&self) -> u64 {
+        let needs = self.processes.iter().filter(|p| p.is_sink()).map(|p| {
+            let next = p.stats.next_tick;
+            let rebuilding = p.service.kind == ServiceKind::Fuse && p.incarnation > 1 && next < self.next_answer;
+            if p.service.kind == ServiceKind::Fuse && !rebuilding { next.max(self.next_answer) } else { next }
+        });
+        needs.min().unwrap_or(0)
+    }
+
+    /// Kills ingest, to be started again at the tick that is needed. SIGKILL, because an orderly stop would tell
+    /// everybody that the stream has ended.
+    fn send_ingest_back(&mut self) {
+        if let Some(ingest) = self.processes.iter_mut().find(|p| p.service.kind == ServiceKind::Ingest) {
+            ingest.sent_back = true;
+            match &ingest.child {
+                Some(_) => ingest.signal(Signal::SIGKILL),
+                None => ingest.start_at = Some(Instant::now()),
+            }
+        }
+    }
+
+    fn reap(&mut self) -> Vec<(usize, Exit, String)> {
+        let reaped = self.processes.iter_mut().enumerate();
+        reaped.filter_map(|(i, p)| p.reap().map(|(exit, status)| (i, exit, status))).collect()
+    }
+
+    /// A process has ended although nobody asked it to.
+    fn ended(
+        &mut self,
+        index: usize,
+        exit: Exit,
+        status: &str,
+        hooks: &mut dyn Hooks,
+    ) -> Result<(), RuntimeError> {
+        // What the dead one had sent is taken before its memory is cleaned up.
+        self.hear(hooks)?;
+        self.clean_up_nodes();
+        if exit == Exit::Failed {
+            self.failed = true;
+            self.state = State::Stopping;
+            return Ok(());
+        }
+        let now = Instant::now();
+        let process = &mut self.processes[index];
+        process.dead_through = process.incarnation;
+        process.health = ServiceHealth::Restarting;
+        let name = process.service.name.clone();
+        let wait = if process.sent_back { Some(Duration::ZERO) } else { process.backoff(now) };
+        match wait {
+            Some(wait) => {
+                process.start_at = Some(now + wait);
+                if !process.sent_back {
+                    process.restarts += 1;
+                    warn!("{name} died ({status}); starting it again in {} ms", wait.as_millis());
+                }
+            }
+            None if process.is_essential() => {
+                tracing::error!("{name} died too often ({status}); without it the run cannot go on");
+                self.failed = true;
+                self.state = State::Stopping;
+            }
+            None => {
+                process.health = ServiceHealth::Down;
+                tracing::error!("{name} died too often ({status}) and is given up; the run goes on without it");
+            }
+        }
+        self.publish_lifecycle()
+    }
+
+    fn start_due(&mut self) -> Result<(), RuntimeError> {
+        let now = Instant::now();
+        for index in 0..self.processes.len() {
+            if self.processes[index].start_at.is_some_and(|t| t <= now) {
+                self.start(index)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, index: usize) -> Result<(), RuntimeError> {
+        let needed = self.needed_tick();
+        let history = match (self.plan.delivery, self.plan.fuse.sequence) {
+            (Delivery::Lossless, SequenceMethod::Paper) => self.plan.fuse.length.saturating_sub(1) as u64,
+            _ => 0,
+        };
+        let first_tick = match self.processes[index].service.kind {
+            ServiceKind::Ingest => {
+                self.epoch += 1;
+                needed
+            }
+            _ => self.next_answer.saturating_sub(history),
+        };
+        let process = &mut self.processes[index];
+        process.start_at = None;
+        process.incarnation += 1;
+        let spawn = Spawn {
+            service: index,
+            incarnation: process.incarnation,
+            epoch: self.epoch,
+            first_tick,
+            answer_from: self.next_answer,
+        };
+        let child = (self.command)(&process.service, &spawn).spawn();
+        let child = child
+            .map_err(|e| RuntimeError::Process(format!("cannot start {}: {e}", process.service.name)))?;
+        process.child = Some(child);
+        Ok(())
+    }
+
+    fn look_after_nodes(&mut self) {
+        if self.last_cleanup.elapsed() >= ROUND {
+            self.clean_up_nodes();
+        }
+        self.members.expire(Instant::now());
+    }
+
+    /// Removes what dead processes left in shared memory, which also frees whoever waits for room with them.
+    fn clean_up_nodes(&mut self) {
+        self.last_cleanup = Instant::now();
+        // Nodes that another process is cleaning up count as done.
+        self.node.blocking_cleanup_dead_nodes(Duration::from_secs(1));
+    }
+
+    fn publish_lifecycle(&mut self) -> Result<(), RuntimeError> {
+        self.lifecycle_version += 1;
+        let states: Vec<_> = self.processes.iter().map(Process::state).collect();
+        let header = LifecycleHeader { version: self.lifecycle_version, ..LifecycleHeader::default() };
+        let sent = self.ports.lifecycle.emit(header, states.len(), &mut |slots| slots.copy_from_slice(&states));
+        sent.map_err(|e| RuntimeError::Ipc(e.to_string()))
+    }
+
+    fn publish_control(&mut self) -> Result<(), RuntimeError> {
+        let settings = self.members.settings.messages();
+        let header = ControlHeader { version: self.members.settings.version, ..ControlHeader::default() };
+        let sent = self.ports.control.emit(header, settings.len(), &mut |slots| slots.copy_from_slice(&settings));
+        sent.map_err(|e| RuntimeError::Ipc(e.to_string()))
+    }
+
+    fn take_requests(&mut self) -> Result<(), RuntimeError> {
+        while let Ok(asked) = self.control.requests.try_recv() {
+            info!("asked to: {:?}", asked.request);
+            if self.members.handle(asked, Instant::now()) {
+                self.folder.write_settings(&self.members.settings)?;
+                self.publish_control()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves the run on to its next state when it is time.
+    fn advance(&mut self) {
+        if self.stop.count() > 1 {
+            self.state = State::Stopping;
+            return;
+        }
+        let sinks_done = self.processes.iter().filter(|p| p.is_sink()).all(|p| p.in_phase(ServicePhase::Done));
+        match self.state {
+            State::Starting if self.stop.requested() => self.state = State::Stopping,
+            State::Starting => {
+                let awaited = |p: &&Process| p.service.kind != ServiceKind::Ingest && p.health != ServiceHealth::Down;
+                if self.processes.iter().filter(awaited).all(|p| p.in_phase(ServicePhase::Ready)) {
+                    self.state = State::Running;
+                    self.send_ingest_back();
+                }
+            }
+            State::Running | State::Draining { .. } if sinks_done => self.state = State::Stopping,
+            State::Running if self.stop.requested() => {
+                let ingest = self.processes.iter().find(|p| p.service.kind == ServiceKind::Ingest);
+                match ingest.filter(|p| p.in_phase(ServicePhase::Ready)) {
+                    Some(ingest) => {
+                        ingest.signal(Signal::SIGTERM);
+                        self.state = State::Draining { since: Instant::now() };
+                    }
+                    None => self.state = State::Stopping,
+                }
+            }
+            State::Draining { since } if since.elapsed() > DRAIN_TIMEOUT => {
+                warn!("what was under way did not finish within {} s", DRAIN_TIMEOUT.as_secs());
+                self.state = State::Stopping;
+            }
+            _ => {}
+        }
+    }
+
+    /// Ends the processes, upstream first.
+    fn take_down(&mut self, hooks: &mut dyn Hooks) -> Result<(), RuntimeError> {
+        const ORDER: [ServiceKind; 5] = [
+            ServiceKind::Ingest,
+            ServiceKind::Reconstruct,
+            ServiceKind::Extract,
+            ServiceKind::Fuse,
+            ServiceKind::Record,
+        ];
+        let patience = if self.stop.count() > 1 { Duration::ZERO } else { EXIT_TIMEOUT };
+        for kind in ORDER {
+            let deadline = Instant::now() + patience;
+            for process in self.processes.iter().filter(|p| p.service.kind == kind) {
+                process.signal(Signal::SIGTERM);
+            }
+            let mut killed = false;
+            loop {
+                self.hear(hooks)?;
+                for (index, exit, status) in self.reap() {
+                    self.failed |= exit == Exit::Failed;
+                    if exit == Exit::Died && !killed {
+                        warn!("{} ended badly ({status})", self.processes[index].service.name);
+                    }
+                }
+                if !self.processes.iter().any(|p| p.service.kind == kind && p.child.is_some()) {
+                    break;
+                }
+                let now = Instant::now();
+                if now >= deadline && !killed {
+                    killed = true;
+                    for process in self.processes.iter().filter(|p| p.service.kind == kind) {
+                        if process.child.is_some() && patience > Duration::ZERO {
+                            warn!("{} did not end within {} s and is killed", process.service.name, patience.as_secs());
+                        }
+                        process.signal(Signal::SIGKILL);
+                    }
+                }
+                self.wait(deadline.saturating_duration_since(now).clamp(Duration::from_millis(1), ROUND))?;
+            }
+            self.clean_up_nodes();
+        }
+        self.hear(hooks)
+    }
+}
