@@ -1,0 +1,236 @@
+//! What happens to one tick, live or offline: similarity rows in, scores, sum and verdict out.
+
+use crate::ensemble::{Best, Ensemble, Part};
+use crate::similarity::similarity;
+use crate::{FuseError, Map, SequenceMatcher};
+use evpr_core::ledger::TickInfo;
+use evpr_core::member::MAX_MEMBERS;
+use evpr_core::message::{Candidate, MatchHeader};
+use evpr_core::plan::Similarity;
+use evpr_core::{MemberSet, Plan, Reason};
+use rayon::prelude::*;
+
+/// One member under way.
+#[derive(Debug)]
+struct Lane {
+    matcher: SequenceMatcher,
+    /// S̃ of the newest tick; NaN where the member sat it out.
+    scores: Vec<f64>,
+}
+
+/// One tick's input.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Input<'a> {
+    /// Members switched on.
+    pub(crate) enabled: &'a MemberSet,
+    /// Per member of the plan, finite.
+    pub(crate) weights: &'a [f64],
+    /// Per member of the plan: its similarity row (R values); `None` where it has none or is switched off.
+    pub(crate) rows: &'a [Option<&'a [f64]>],
+    /// The tick was lost on the way.
+    pub(crate) lost: bool,
+}
+
+/// What came of a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Verdict {
+    Match(Best),
+    None(Reason),
+}
+
+/// Similarity, sequence matching and fusion over all members of a plan.
+#[derive(Debug)]
+pub(crate) struct Engine {
+    map: Map,
+    names: Vec<String>,
+    kind: Similarity,
+    lanes: Vec<Lane>,
+    ensemble: Ensemble,
+}
+
+impl Engine {
+    pub(crate) fn new(plan: &Plan, map: Map) -> Result<Self, FuseError> {
+        check(plan, &map)?;
+        let fuse = &plan.fuse;
+        let lane = |member: &crate::MapMember| Lane {
+            matcher: SequenceMatcher::new(fuse.sequence, fuse.length, &member.valid),
+            scores: vec![f64::NAN; map.references],
+        };
+        Ok(Self {
+            lanes: map.members.iter().map(lane).collect(),
+            ensemble: Ensemble::new(map.references, fuse.top, fuse.exclusion),
+            names: plan.members.iter().map(|m| m.name.clone()).collect(),
+            kind: fuse.similarity,
+            map,
+        })
+    }
+
+    pub(crate) fn references(&self) -> usize {
+        self.map.references
+    }
+
+    pub(crate) fn member_name(&self, member: usize) -> &str {
+        self.names.get(member).map_or("unknown", String::as_str)
+    }
+
+    pub(crate) fn dim(&self, member: usize) -> usize {
+        self.map.members.get(member).map_or(0, |m| m.dim)
+    }
+
+    /// S of one row: `row` must have the member's dimension, `out` one value per reference.
+    pub(crate) fn similarity(&self, member: usize, row: &[f32], out: &mut [f64]) -> Result<(), FuseError> {
+        let reference = &self.map.members[member];
+        similarity(self.kind, row, reference.rows.values(), &reference.valid, out);
+        match out
+            .iter()
+            .zip(&reference.valid)
+            .position(|(s, valid)| *valid && !s.is_finite())
+        {
+            None => Ok(()),
+            Some(reference) => Err(FuseError::NotFinite {
+                member: self.member_name(member).to_owned(),
+                reference,
+            }),
+        }
+    }
+
+    /// Takes the next tick into every member's history and, where `answer` is true, scores and fuses it.
+    ///
+    /// A member counts when it is enabled, its weight is not 0 and it has a row: one of weight 0 is matched, but
+    /// answers as if it were switched off.
+    pub(crate) fn advance(&mut self, input: Input<'_>, answer: bool) -> Option<Verdict> {
+        self.lanes.par_iter_mut().zip(input.rows).for_each(|(lane, row)| {
+            lane.matcher.push(*row);
+            if answer {
+                lane.matcher.score(&mut lane.scores);
+            }
+        });
+        if !answer {
+            return None;
+        }
+        let (lanes, members) = (&self.lanes, &self.map.members);
+        let weighs = |member: &usize| input.weights.get(*member).is_some_and(|w| *w != 0.0);
+        let has_row = |member: &usize| input.rows.get(*member).is_some_and(Option::is_some);
+        let counting = || input.enabled.iter().filter(weighs).filter(has_row);
+        let best = self.ensemble.fuse(counting().map(|m| Part {
+            scores: &lanes[m].scores,
+            valid: &members[m].valid,
+            weight: input.weights[m],
+        }));
+        let alone = |m: usize| lanes[m].matcher.length() > 1 && lanes[m].matcher.history() == 1;
+        Some(match best {
+            _ if input.lost => Verdict::None(Reason::Lost),
+            _ if !input.enabled.iter().any(|m| weighs(&m)) => Verdict::None(Reason::NoMembers),
+            None => Verdict::None(Reason::NoRows),
+            Some(_) if counting().all(alone) => Verdict::None(Reason::NoHistory),
+            Some(best) => Verdict::Match(best),
+        })
+    }
+
+    /// The candidates that belong to a verdict.
+    pub(crate) fn candidates(&self, verdict: Verdict) -> &[Candidate] {
+        match verdict {
+            Verdict::Match(_) => self.ensemble.candidates(),
+            Verdict::None(_) => &[],
+        }
+    }
+
+    /// E of the last answered tick.
+    pub(crate) fn fused(&self) -> &[f64] {
+        self.ensemble.fused()
+    }
+
+    /// S̃ of a member at the last answered tick.
+    pub(crate) fn scores(&self, member: usize) -> &[f64] {
+        &self.lanes[member].scores
+    }
+
+    /// The answer, without latencies. `ends` has a code per member.
+    pub(crate) fn header(&self, info: &TickInfo, verdict: Verdict, ends: [u8; MAX_MEMBERS]) -> MatchHeader {
+        let header = MatchHeader {
+            tick: info.tick,
+            start_us: info.start_us,
+            end_us: info.end_us,
+            control_version: info.control_version,
+            ends,
+            ..MatchHeader::default()
+        };
+        match verdict {
+            Verdict::None(reason) => MatchHeader {
+                reason: reason.code(),
+                ..header
+            },
+            Verdict::Match(best) => {
+                let [east_m, north_m] = self.map.position(best.reference).unwrap_or([f64::NAN; 2]);
+                MatchHeader {
+                    reference: best.reference as i64,
+                    score: best.score,
+                    confidence: best.confidence,
+                    east_m,
+                    north_m,
+                    candidates: self.ensemble.candidates().len() as u32,
+                    ..header
+                }
+            }
+        }
+    }
+}
+
+/// Checks that map and plan fit, so that everything after this may index freely.
+fn check(plan: &Plan, map: &Map) -> Result<(), FuseError> {
+    if plan.members.len() > MAX_MEMBERS {
+        return Err(FuseError::TooManyMembers {
+            members: plan.members.len(),
+            most: MAX_MEMBERS,
+        });
+    }
+    if map.members.len() != plan.members.len() {
+        return Err(FuseError::Members {
+            map: map.members.len(),
+            plan: plan.members.len(),
+        });
+    }
+    if map.references == 0 {
+        return Err(FuseError::EmptyMap);
+    }
+    if u32::try_from(map.references).is_err() {
+        return Err(FuseError::TooLong {
+            references: map.references,
+        });
+    }
+    check_members(plan, &map.members, map.references)?;
+    for (named, member) in plan.members.iter().zip(&map.members) {
+        if !member.valid.contains(&true) {
+            return Err(FuseError::NoRows {
+                member: named.name.clone(),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Checks the shapes of a traverse's members against the plan.
+pub(crate) fn check_members(
+    plan: &Plan,
+    members: &[crate::MapMember],
+    ticks: usize,
+) -> Result<(), FuseError> {
+    if members.len() != plan.members.len() {
+        return Err(FuseError::Members {
+            map: members.len(),
+            plan: plan.members.len(),
+        });
+    }
+    for (named, member) in plan.members.iter().zip(members) {
+        member.check(&named.name, ticks)?;
+        let dim = plan.extractors.get(named.extractor).map_or(0, |e| e.dim);
+        if dim != member.dim {
+            return Err(FuseError::Dimension {
+                member: named.name.clone(),
+                map: member.dim,
+                plan: dim,
+            });
+        }
+    }
+    Ok(())
+}

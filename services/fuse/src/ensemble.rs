@@ -1,0 +1,258 @@
+//! The ensemble: the members' scores added up, the best place, its rivals and its confidence.
+
+use evpr_core::message::Candidate;
+
+/// What one member brings to a tick.
+#[derive(Debug, Clone, Copy)]
+pub struct Part<'a> {
+    /// Its S̃, one score per reference.
+    pub scores: &'a [f64],
+    /// The references that the map has a row of this member for.
+    pub valid: &'a [bool],
+    /// Its weight w.
+    pub weight: f64,
+}
+
+/// The best place of a tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Best {
+    /// The map's tick.
+    pub reference: usize,
+    /// Its fused score E.
+    pub score: f64,
+    /// Margin against the best candidate elsewhere, 0 to 1. See [`Ensemble::fuse`].
+    pub confidence: f64,
+}
+
+/// Fuses the members of a tick by the weighted sum. Its memory is reused from tick to tick.
+#[derive(Debug)]
+pub struct Ensemble {
+    top: usize,
+    exclusion: usize,
+    fused: Vec<f64>,
+    eligible: Vec<bool>,
+    candidates: Vec<Candidate>,
+}
+
+impl Ensemble {
+    /// An ensemble over so many references, which names the `top` best candidates (at least 1); for the confidence,
+    /// candidates within `exclusion` references of the best are no rivals.
+    pub fn new(references: usize, top: usize, exclusion: usize) -> Self {
+        let top = top.clamp(1, references.max(1));
+        Self {
+            top,
+            exclusion,
+            fused: vec![0.0; references],
+            eligible: vec![false; references],
+            candidates: Vec::with_capacity(top + 1),
+        }
+    }
+
+    /// E\[j\] = Σ w·S̃\[j\] over `parts`, in their order. The answer is its maximum among the references that at least
+    /// one of `parts` has a row for; the lowest index wins ties. None when there is no such reference.
+    ///
+    /// The confidence is (E_best − E_rival) / (E_best − mean E), clamped to 0…1: the rival is the best eligible
+    /// reference more than `exclusion` away from the best, the mean goes over the eligible references. It is 1 when
+    /// every other part of the map is no better than the average place, 0 when a place elsewhere is as good, and 0
+    /// when it has no meaning: no rival, or all places alike.
+    ///
+    /// # Panics
+    /// When a part does not have one entry per reference.
+    pub fn fuse<'a>(&mut self, parts: impl Iterator<Item = Part<'a>>) -> Option<Best> {
+        self.fused.fill(0.0);
+        self.eligible.fill(false);
+        self.candidates.clear();
+        for part in parts {
+            assert_eq!(
+                (part.scores.len(), part.valid.len()),
+                (self.fused.len(), self.fused.len())
+            );
+            for (sum, score) in self.fused.iter_mut().zip(part.scores) {
+                *sum += part.weight * score;
+            }
+            for (eligible, valid) in self.eligible.iter_mut().zip(part.valid) {
+                *eligible |= valid;
+            }
+        }
+        self.rank();
+        let best = *self.candidates.first()?;
+        let reference = best.reference as usize;
+        Some(Best {
+            reference,
+            score: best.score,
+            confidence: self.confidence(reference, best.score),
+        })
+    }
+
+    /// E of the last [`Ensemble::fuse`], one score per reference.
+    pub fn fused(&self) -> &[f64] {
+        &self.fused
+    }
+
+    /// The best candidates of the last [`Ensemble::fuse`], best first, ties by index.
+    pub fn candidates(&self) -> &[Candidate] {
+        &self.candidates
+    }
+
+    fn eligible_scores(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let scores = self.fused.iter().copied().enumerate();
+        scores
+            .zip(&self.eligible)
+            .filter(|(_, eligible)| **eligible)
+            .map(|(score, _)| score)
+    }
+
+    fn rank(&mut self) {
+        let mut best = std::mem::take(&mut self.candidates);
+        for (reference, score) in self.eligible_scores() {
+            let full = best.len() == self.top;
+            if full && best.last().is_some_and(|worst| score <= worst.score) {
+                continue;
+            }
+            if full {
+                best.pop();
+            }
+            let at = best.partition_point(|c: &Candidate| c.score >= score);
+            best.insert(
+                at,
+                Candidate {
+                    score,
+                    reference: reference as u32,
+                    ..Candidate::default()
+                },
+            );
+        }
+        self.candidates = best;
+    }
+
+    fn confidence(&self, best: usize, best_score: f64) -> f64 {
+        let (mut sum, mut count, mut rival) = (0.0, 0usize, None::<f64>);
+        for (reference, score) in self.eligible_scores() {
+            sum += score;
+            count += 1;
+            if reference.abs_diff(best) > self.exclusion {
+                rival = Some(rival.map_or(score, |r| r.max(score)));
+            }
+        }
+        let spread = best_score - sum / count as f64;
+        match rival {
+            Some(rival) if spread > 0.0 => ((best_score - rival) / spread).clamp(0.0, 1.0),
+            _ => 0.0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn part<'a>(scores: &'a [f64], valid: &'a [bool], weight: f64) -> Part<'a> {
+        Part {
+            scores,
+            valid,
+            weight,
+        }
+    }
+
+    fn references(e: &Ensemble) -> Vec<u32> {
+        e.candidates().iter().map(|c| c.reference).collect()
+    }
+
+    #[test]
+    fn adds_with_weights_and_ranks() {
+        let mut e = Ensemble::new(3, 2, 0);
+        let all = [true; 3];
+        let best = e
+            .fuse(
+                [
+                    part(&[1.0, 2.0, 3.0], &all, 1.0),
+                    part(&[4.0, 0.0, 0.0], &all, 0.5),
+                ]
+                .into_iter(),
+            )
+            .unwrap();
+        assert_eq!(e.fused(), [3.0, 2.0, 3.0]);
+        assert_eq!((best.reference, best.score), (0, 3.0));
+        assert_eq!(references(&e), [0, 2]);
+        assert_eq!(best.confidence, 0.0, "another place is as good");
+    }
+
+    #[test]
+    fn ties_go_to_the_lowest_index() {
+        let mut e = Ensemble::new(4, 4, 1);
+        let best = e
+            .fuse([part(&[1.0, 1.0, 1.0, 1.0], &[true; 4], 1.0)].into_iter())
+            .unwrap();
+        assert_eq!((best.reference, best.confidence), (0, 0.0));
+        assert_eq!(references(&e), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn a_place_that_no_member_has_a_row_for_is_never_the_answer() {
+        let mut e = Ensemble::new(4, 9, 0);
+        let a = part(&[0.0, -2.0, -3.0, 0.0], &[false, true, true, false], 1.0);
+        let b = part(&[0.0, -1.0, 0.0, -9.0], &[false, true, false, true], 1.0);
+        let best = e.fuse([a, b].into_iter()).unwrap();
+        assert_eq!(best.reference, 1);
+        assert_eq!(references(&e), [1, 2, 3]);
+        assert_eq!(e.fuse(std::iter::empty()), None);
+        assert_eq!(e.fuse([part(&[1.0; 4], &[false; 4], 1.0)].into_iter()), None);
+        assert_eq!(references(&e), [] as [u32; 0]);
+    }
+
+    #[test]
+    fn confidence_is_the_margin_to_elsewhere_on_the_scale_of_the_best() {
+        let scores = [0.0, 3.0, 4.0, 3.0, 0.0, 2.0];
+        let confidence = |exclusion| {
+            let mut e = Ensemble::new(6, 1, exclusion);
+            e.fuse([part(&scores, &[true; 6], 1.0)].into_iter())
+                .unwrap()
+                .confidence
+        };
+        assert_eq!(confidence(0), 0.5);
+        assert_eq!(confidence(1), 1.0);
+        assert_eq!(confidence(5), 0.0, "no rival");
+        let mut e = Ensemble::new(1, 1, 0);
+        assert_eq!(
+            e.fuse([part(&[7.0], &[true], 1.0)].into_iter())
+                .unwrap()
+                .confidence,
+            0.0
+        );
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+        #[test]
+        fn the_top_is_that_of_a_full_sort(
+            entries in prop::collection::vec((-3i32..3, any::<bool>()), 1..40), top in 1usize..10,
+        ) {
+            let scores: Vec<f64> = entries.iter().map(|(s, _)| f64::from(*s)).collect();
+            let valid: Vec<bool> = entries.iter().map(|(_, v)| *v).collect();
+            let mut order: Vec<u32> = (0..scores.len() as u32).filter(|j| valid[*j as usize]).collect();
+            order.sort_by(|a, b| scores[*b as usize].total_cmp(&scores[*a as usize]).then(a.cmp(b)));
+            order.truncate(top);
+            let mut e = Ensemble::new(scores.len(), top, 2);
+            let best = e.fuse([part(&scores, &valid, 1.0)].into_iter());
+            prop_assert_eq!(references(&e), order.clone());
+            prop_assert_eq!(best.map(|b| b.reference as u32), order.first().copied());
+            prop_assert!(best.is_none_or(|b| (0.0..=1.0).contains(&b.confidence)));
+        }
+
+        #[test]
+        fn the_order_of_the_members_does_not_matter(
+            rows in prop::collection::vec(prop::collection::vec(-30.0f64..30.0, 7), 1..9),
+            weights in prop::collection::vec(0.0f64..4.0, 9),
+        ) {
+            let valid = [true; 7];
+            let parts: Vec<_> = rows.iter().zip(&weights).map(|(r, w)| part(r, &valid, *w)).collect();
+            let (mut a, mut b) = (Ensemble::new(7, 3, 1), Ensemble::new(7, 3, 1));
+            a.fuse(parts.iter().copied());
+            b.fuse(parts.iter().rev().copied());
+            for (x, y) in a.fused().iter().zip(b.fused()) {
+                prop_assert!((x - y).abs() <= 1e-9);
+            }
+        }
+    }
+}

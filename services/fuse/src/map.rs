@@ -1,0 +1,91 @@
+//! The reference map: per member of the plan the rows of a traverse, and which of its ticks have one.
+
+use crate::FuseError;
+use std::sync::Arc;
+
+/// Where rows come from: a memory-mapped traverse, or plain memory in tests.
+pub trait Rows: Send + Sync {
+    /// All rows, row-major (ticks × D). A tick without a row takes up its place; what stands there is not read.
+    fn values(&self) -> &[f32];
+}
+
+impl Rows for Vec<f32> {
+    fn values(&self) -> &[f32] {
+        self
+    }
+}
+
+/// One member's rows of a traverse.
+#[derive(Clone)]
+pub struct MapMember {
+    /// The rows.
+    pub rows: Arc<dyn Rows>,
+    /// D, values per row.
+    pub dim: usize,
+    /// Per tick of the traverse: whether the member has a row there.
+    pub valid: Vec<bool>,
+}
+
+impl MapMember {
+    /// A member from memory: `values` is row-major, one row of `dim` values per entry of `valid`.
+    pub fn new(values: Vec<f32>, dim: usize, valid: Vec<bool>) -> Self {
+        Self {
+            rows: Arc::new(values),
+            dim,
+            valid,
+        }
+    }
+
+    /// The row of tick `index`, which must be below the number of ticks; `None` where there is none.
+    pub fn row(&self, index: usize) -> Option<&[f32]> {
+        let there = self.valid.get(index).copied().unwrap_or(false);
+        there
+            .then(|| self.rows.values().get(index * self.dim..(index + 1) * self.dim))
+            .flatten()
+    }
+
+    /// Checks that there are `ticks` rows and flags, so that everything after this may index freely.
+    pub(crate) fn check(&self, name: &str, ticks: usize) -> Result<(), FuseError> {
+        let values = self.rows.values().len();
+        if self.dim == 0 || self.valid.len() != ticks || Some(values) != ticks.checked_mul(self.dim) {
+            return Err(FuseError::Shape {
+                member: name.to_owned(),
+                values,
+                flags: self.valid.len(),
+                references: ticks,
+                dim: self.dim,
+            });
+        }
+        Ok(())
+    }
+}
+
+impl std::fmt::Debug for MapMember {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let valid = self.valid.iter().filter(|v| **v).count();
+        write!(
+            f,
+            "MapMember {{ {} × {}, {valid} valid }}",
+            self.valid.len(),
+            self.dim
+        )
+    }
+}
+
+/// The map that queries are compared with. A place is a tick of the map's traverse, and is named by its number.
+#[derive(Debug, Clone)]
+pub struct Map {
+    /// R, ticks of the map.
+    pub references: usize,
+    /// Per reference (east, north) in metres; empty when the map has no positions.
+    pub positions: Vec<Option<[f64; 2]>>,
+    /// Per member of the plan, in the plan's order.
+    pub members: Vec<MapMember>,
+}
+
+impl Map {
+    /// The position of a reference, (east, north) in metres.
+    pub fn position(&self, reference: usize) -> Option<[f64; 2]> {
+        self.positions.get(reference).copied().flatten()
+    }
+}

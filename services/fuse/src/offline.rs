@@ -1,0 +1,111 @@
+//! Answers of a stored query traverse, computed by the same engine as the running fuser's.
+
+use crate::engine::{Engine, Input, check_members};
+use crate::{FuseError, Map, MapMember};
+use evpr_core::ledger::TickInfo;
+use evpr_core::member::MAX_MEMBERS;
+use evpr_core::stage::Answer;
+use evpr_core::{MemberSet, Plan, Reason};
+
+/// A tick of a stored traverse.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QueryTick {
+    /// The tick.
+    pub tick: u64,
+    /// Sensor time of its start, µs.
+    pub start_us: u64,
+    /// Sensor time of its end, µs.
+    pub end_us: u64,
+}
+
+/// A stored query traverse.
+#[derive(Debug, Clone)]
+pub struct Query {
+    /// Its ticks, ascending. Numbers that are missing stand for ticks without any row.
+    pub ticks: Vec<QueryTick>,
+    /// Per member of the plan, one row per entry of `ticks`.
+    pub members: Vec<MapMember>,
+}
+
+/// The answers of a stored traverse, one per entry of its ticks, with the plan's weights.
+///
+/// `enabled` says who is switched on at each tick; a member that is off counts as one without a row. The headers are
+/// as the running fuser's except for latencies, control version and stamp, which are 0, and the reason of a missing
+/// row, which traverses do not keep: it is given as [`Reason::Lost`].
+///
+/// # Errors
+/// Map, query and plan do not fit, or a row is not finite: see [`FuseError`].
+pub fn answers(
+    plan: &Plan,
+    map: Map,
+    query: &Query,
+    enabled: impl Fn(u64) -> MemberSet,
+) -> Result<Vec<Answer>, FuseError> {
+    check_members(plan, &query.members, query.ticks.len())?;
+    let mut engine = Engine::new(plan, map)?;
+    let weights: Vec<f64> = plan.members.iter().map(|m| m.weight).collect();
+    let mut buffers = vec![vec![0.0; engine.references()]; plan.members.len()];
+    let absent = vec![None; plan.members.len()];
+    let mut answers = Vec::with_capacity(query.ticks.len());
+    let mut next = query.ticks.first().map_or(0, |t| t.tick);
+    for (index, at) in query.ticks.iter().enumerate() {
+        // More missing ticks than the sequence is long leave the same empty window.
+        for _ in 0..at.tick.saturating_sub(next).min(plan.fuse.length as u64) {
+            let input = Input {
+                enabled: &MemberSet::default(),
+                weights: &weights,
+                rows: &absent,
+                lost: true,
+            };
+            engine.advance(input, false);
+        }
+        next = at.tick.saturating_add(1);
+        let members: MemberSet = enabled(at.tick)
+            .iter()
+            .filter(|m| *m < plan.members.len())
+            .collect();
+        let mut ends = [0; MAX_MEMBERS];
+        for member in members.iter() {
+            ends[member] = Reason::Lost as u8;
+            let Some(row) = query.members[member].row(index) else {
+                continue;
+            };
+            if !row.iter().all(|v| v.is_finite()) {
+                let member = engine.member_name(member).to_owned();
+                return Err(FuseError::QueryNotFinite {
+                    member,
+                    tick: at.tick,
+                });
+            }
+            engine.similarity(member, row, &mut buffers[member])?;
+            ends[member] = 1;
+        }
+        let rows: Vec<Option<&[f64]>> = buffers
+            .iter()
+            .zip(ends)
+            .map(|(row, end)| (end == 1).then_some(row.as_slice()))
+            .collect();
+        let input = Input {
+            enabled: &members,
+            weights: &weights,
+            rows: &rows,
+            lost: false,
+        };
+        let Some(verdict) = engine.advance(input, true) else {
+            continue;
+        };
+        let info = TickInfo {
+            tick: at.tick,
+            start_us: at.start_us,
+            end_us: at.end_us,
+            control_version: 0,
+            members,
+            weights: Vec::new(),
+        };
+        answers.push((
+            engine.header(&info, verdict, ends),
+            engine.candidates(verdict).to_vec(),
+        ));
+    }
+    Ok(answers)
+}
