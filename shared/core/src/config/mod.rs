@@ -1,1 +1,234 @@
-//! Configuration (to come).
+//! The configuration: TOML as written becomes a checked [`Config`], and that becomes a [`Plan`].
+//!
+//! [`parse`] reports all mistakes at once, each with its line and what to write instead; what it accepts can be
+//! resolved as soon as the sensor's size is known. Every key is described where it is read; [`key_reference`] lists
+//! them all.
+
+mod error;
+mod members;
+mod reader;
+mod schema;
+mod sink;
+mod slicing;
+mod stages;
+mod syntax;
+mod test_catalog;
+mod words;
+
+pub use error::{ConfigError, ConfigErrors};
+pub use sink::KeyDoc;
+pub use test_catalog::test_catalog;
+pub use words::{
+    ALIGNS, DELIVERIES, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, RULES, SEQUENCE_METHODS, SIMILARITIES,
+    SLICE_MODES, TIME_UNITS, Words, parse_origin, parse_pace,
+};
+
+use crate::plan::{
+    Catalog, Delivery, Extractor, Fuse, Member, Pace, Plan, Reconstruction, Sensor, Slicing, Source,
+};
+use reader::Table;
+use schema::{RuntimeSection, SourceSection};
+use sink::Sink;
+use std::path::PathBuf;
+
+/// A checked configuration. What it leaves open is the sensor's size and the recording, where it does not name them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    name: String,
+    sensor: Option<Sensor>,
+    source: SourceSection,
+    slicing: Slicing,
+    reconstructions: Vec<Reconstruction>,
+    extractors: Vec<Extractor>,
+    members: Vec<Member>,
+    fuse: Fuse,
+    runtime: RuntimeSection,
+    /// Where to point when the sensor or the recording turns out to be wrong or missing.
+    places: Places,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Places {
+    sensor: ConfigError,
+    source: ConfigError,
+}
+
+/// What the command line says instead of the configuration.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Overrides {
+    /// `--name`: name of the instance, 1 to 20 of `a-z`, `0-9`, `_` and `-`.
+    pub name: Option<String>,
+    /// `--input`: the recording.
+    pub input: Option<PathBuf>,
+    /// `--pace`.
+    pub pace: Option<Pace>,
+    /// `--delivery`.
+    pub delivery: Option<Delivery>,
+    /// `--map`: the reference map; with it the plan has a fuser.
+    pub map: Option<PathBuf>,
+    /// `--record`: the traverse to write; with it the plan has a recorder.
+    pub record: Option<PathBuf>,
+}
+
+/// Parses and checks a configuration. `file` is only used to name it in errors.
+///
+/// # Errors
+/// All mistakes: in the syntax, unknown keys, wrong types, values out of range, names of things that do not exist,
+/// and what contradicts itself.
+pub fn parse(text: &str, file: &str, catalog: &Catalog) -> Result<Config, ConfigErrors> {
+    let document = syntax::parse(text);
+    let sink = Sink::new(text, file);
+    let config = read(&sink, Table::root(&sink, &document.table), catalog);
+    match (config, sink.into_errors(&document.errors, document.trusted_until)) {
+        (Some(config), None) => Ok(config),
+        (_, Some(errors)) => Err(errors),
+        (None, None) => Err(ConfigErrors::new(vec![ConfigError {
+            file: file.to_owned(),
+            line: 0,
+            column: 0,
+            key: String::new(),
+            message: "cannot be used, and no check says why; this is a fault of evpr".to_owned(),
+        }])),
+    }
+}
+
+/// Every key of the configuration, in the order of the sections. The parameters of a kind are in the [`Catalog`].
+pub fn key_reference(catalog: &Catalog) -> Vec<KeyDoc> {
+    let example = "[[reconstruction]]\n[[extractor]]\n";
+    let document = syntax::parse(example);
+    let sink = Sink::new(example, "");
+    read(&sink, Table::root(&sink, &document.table), catalog);
+    sink.keys()
+}
+
+fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Config> {
+    let name = schema::run(root.section("run"));
+    let sensor_table = root.section("sensor");
+    let sensor_at = sensor_table.at.clone();
+    let sensor = schema::sensor(sensor_table);
+    let source_table = root.section("source");
+    let source_at = source_table.below("path", source_table.at.offset);
+    let source = schema::source(source_table);
+    let slicing = slicing::slicing(root.section("slicing"));
+    let reconstructions = stages::reconstructions(&root, catalog);
+    let extractors = stages::extractors(&root, catalog);
+    let parts = members::Parts::new(&reconstructions, slicing.as_ref(), &extractors);
+    let members = members::ensemble(root.section("ensemble"), &parts);
+    let fuse = schema::fuse(root.section("fuse"));
+    let runtime = schema::runtime(root.section("runtime"));
+    root.close();
+    Some(Config {
+        name: name?,
+        sensor: sensor?,
+        source: source?,
+        slicing: slicing?,
+        reconstructions: reconstructions.stages?,
+        extractors: extractors.stages?,
+        members: members?,
+        fuse: fuse?,
+        runtime: runtime?,
+        places: Places {
+            sensor: sink.error(&sensor_at, ""),
+            source: sink.error(&source_at, ""),
+        },
+    })
+}
+
+impl Config {
+    /// Size of the sensor, when the configuration gives it. When it does not, ask the recording.
+    pub fn sensor(&self) -> Option<Sensor> {
+        self.sensor
+    }
+
+    /// The source, when there is a recording to read: of the overrides or of the configuration.
+    pub fn source(&self, overrides: &Overrides) -> Option<Source> {
+        let path = overrides.input.clone().or_else(|| self.source.path.clone())?;
+        Some(Source {
+            kind: self.source.kind.clone(),
+            path,
+            pace: overrides.pace.unwrap_or(self.source.pace),
+            time_unit: self.source.time_unit,
+            on_backward_time: self.source.on_backward_time,
+            on_outside_sensor: self.source.on_outside_sensor,
+        })
+    }
+
+    /// How events are cut.
+    pub fn slicing(&self) -> &Slicing {
+        &self.slicing
+    }
+
+    /// The members, in the plan's order.
+    pub fn members(&self) -> &[Member] {
+        &self.members
+    }
+
+    /// What the fuser does.
+    pub fn fuse(&self) -> &Fuse {
+        &self.fuse
+    }
+
+    /// The plan for this sensor: the configuration's own size, or else the recording's.
+    ///
+    /// # Errors
+    /// All of: there is no recording to read, the sensor is not the one that the configuration gives or its size is
+    /// out of range, an override is out of range.
+    pub fn resolve(&self, sensor: Sensor, overrides: &Overrides) -> Result<Plan, ConfigErrors> {
+        let mut errors = Vec::new();
+        let in_file = |place: &ConfigError, message: String| ConfigError {
+            message,
+            ..place.clone()
+        };
+        let option = |key: &str, message: String| ConfigError {
+            file: "command line".to_owned(),
+            line: 0,
+            column: 0,
+            key: key.to_owned(),
+            message: error::one_line(&message),
+        };
+        if let Some(given) = self.sensor.filter(|given| *given != sensor) {
+            let message = format!("is {given}, but the recording's is {sensor}; correct it, or leave it out");
+            errors.push(in_file(&self.places.sensor, message));
+        } else if ![sensor.height, sensor.width]
+            .iter()
+            .all(|side| (1..=schema::MAX_SIDE).contains(side))
+        {
+            let message = format!(
+                "{sensor} is out of range; height and width are 1 to {}",
+                schema::MAX_SIDE
+            );
+            errors.push(in_file(&self.places.sensor, message));
+        }
+        let source = self.source(overrides);
+        if source.is_none() {
+            let message = "is missing; write the recording's path here, or give it with --input";
+            errors.push(in_file(&self.places.source, message.to_owned()));
+        }
+        let name = overrides.name.as_deref().unwrap_or(&self.name);
+        if let Err(message) = schema::check_name(name, schema::MAX_RUN_NAME) {
+            errors.push(option("--name", message));
+        }
+        if let Some(Pace::Factor(factor)) = overrides.pace
+            && let Err(message) = words::pace_of_factor(factor)
+        {
+            errors.push(option("--pace", message));
+        }
+        let Some(source) = source.filter(|_| errors.is_empty()) else {
+            return Err(ConfigErrors::new(errors));
+        };
+        Ok(Plan {
+            name: name.to_owned(),
+            source,
+            sensor,
+            slicing: self.slicing.clone(),
+            reconstructions: self.reconstructions.clone(),
+            extractors: self.extractors.clone(),
+            members: self.members.clone(),
+            fuse: self.fuse.clone(),
+            delivery: overrides.delivery.unwrap_or(self.runtime.delivery),
+            deadline_ns: self.runtime.deadline_ns,
+            map: overrides.map.clone(),
+            record: overrides.record.clone(),
+        })
+    }
+}

@@ -1,0 +1,350 @@
+//! The sections of the configuration: every key, with its meaning, its default and its checks, in one place.
+//! Slicing, the stanzas of stages and the members are in files of their own.
+
+use super::reader::{Table, Value};
+use super::sink::Key;
+use super::words::{
+    DELIVERIES, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, RULES, SEQUENCE_METHODS, SIMILARITIES,
+    TIME_UNITS, Words, pace_of_factor, parse_pace,
+};
+use crate::message::Event;
+use crate::plan::{Delivery, Fuse, OnBadEvent, Pace, Rule, Sensor, SequenceMethod, Similarity, TimeUnit};
+use std::path::PathBuf;
+
+/// The longest instance name: it is part of names in shared memory and of sockets.
+pub(super) const MAX_RUN_NAME: usize = 20;
+/// The longest id of a stage.
+pub(super) const MAX_ID: usize = 64;
+/// The largest height and width, pixels.
+pub(super) const MAX_SIDE: usize = 8192;
+const _: () = assert!(MAX_SIDE <= Event::Y_MAX as usize + 1);
+/// The longest sequence, ticks.
+const MAX_SEQUENCE: i64 = 1_000;
+/// The deadline when the configuration names none, ns.
+const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
+
+/// Kinds of sources.
+const SOURCE_KINDS: Words<'static, &str> = Words::new(&[("file", "file")]);
+
+pub(super) const fn key(
+    name: &'static str,
+    kind: &'static str,
+    default: Option<&'static str>,
+    doc: &'static str,
+) -> Key {
+    Key {
+        name,
+        kind,
+        default,
+        doc,
+    }
+}
+
+/// Checks a name that goes into topics and file names.
+pub(super) fn check_name(text: &str, longest: usize) -> Result<String, String> {
+    let allowed = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-';
+    if (1..=longest).contains(&text.len()) && text.chars().all(allowed) {
+        Ok(text.to_owned())
+    } else {
+        Err(format!(
+            "\"{text}\" cannot be a name; write 1 to {longest} of a-z, 0-9, _ and -"
+        ))
+    }
+}
+
+pub(super) fn name(value: &Value<'_>, longest: usize) -> Option<String> {
+    let text = value.text("a name in quotes")?;
+    value.accept(check_name(text, longest))
+}
+
+/// `[run]`: the name of the instance.
+pub(super) fn run(table: Table<'_>) -> Option<String> {
+    let run = table.read(
+        key(
+            "name",
+            "name, 1 to 20 of a-z, 0-9, _ and -",
+            Some("\"evpr\""),
+            "Name of the instance; two that run at the same time need different ones.",
+        ),
+        "evpr".to_owned(),
+        |v| name(v, MAX_RUN_NAME),
+    );
+    table.close();
+    run
+}
+
+/// `[sensor]`: its size, when it is given.
+pub(super) fn sensor(table: Table<'_>) -> Option<Option<Sensor>> {
+    let range = 1..=MAX_SIDE as i64;
+    let height = table.read_optional(
+        key(
+            "height",
+            "whole number from 1 to 8192",
+            None,
+            "Rows of the sensor, pixels. Asked of the recording when it is not given.",
+        ),
+        |v| v.integer(range.clone()),
+    );
+    let width = table.read_optional(
+        key(
+            "width",
+            "whole number from 1 to 8192",
+            None,
+            "Columns of the sensor, pixels. Asked of the recording when it is not given.",
+        ),
+        |v| v.integer(range.clone()),
+    );
+    let sensor = match (height?, width?) {
+        (None, None) => Some(None),
+        (Some(height), Some(width)) => Some(Some(Sensor {
+            height: height as usize,
+            width: width as usize,
+        })),
+        (height, _) => {
+            let (there, missing) = match height {
+                Some(_) => ("height", "width"),
+                None => ("width", "height"),
+            };
+            let at = table.below(missing, table.at.offset);
+            let message =
+                format!("is missing; write it beside {there}, or leave out both to ask the recording");
+            table.sink.report_absence(&at, message);
+            None
+        }
+    };
+    table.close();
+    sensor
+}
+
+/// `[source]` as written: the path may be missing.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct SourceSection {
+    pub kind: String,
+    pub path: Option<PathBuf>,
+    pub pace: Pace,
+    pub time_unit: TimeUnit,
+    pub on_backward_time: OnBadEvent,
+    pub on_outside_sensor: OnBadEvent,
+}
+
+/// `[source]`.
+pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
+    let kind = table.read(
+        key(
+            "kind",
+            "\"file\"",
+            Some("\"file\""),
+            "What events come from: a recording.",
+        ),
+        "file",
+        |v| v.word(&SOURCE_KINDS),
+    );
+    let path = table.read_optional(
+        key(
+            "path",
+            "path",
+            None,
+            "The recording, relative to the directory that evpr is started in. `--input` takes precedence.",
+        ),
+        path,
+    );
+    let pace = table.read(
+        key(
+            "pace",
+            "\"unpaced\", \"realtime\" or a number from 0.001 to 1000000",
+            Some("\"unpaced\""),
+            "How fast a recording is replayed: as fast as the graph takes it, as recorded, or so many times as fast.",
+        ),
+        Pace::Unpaced,
+        pace,
+    );
+    let time_unit = table.read(
+        key(
+            "time_unit",
+            "\"auto\", \"s\", \"ms\", \"us\" or \"ns\"",
+            Some("\"auto\""),
+            "Unit of times in text recordings; auto: a decimal point means seconds, else decided by magnitude.",
+        ),
+        TimeUnit::Auto,
+        |v| v.word(&TIME_UNITS),
+    );
+    let on_backward_time = table.read(
+        key(
+            "on_backward_time",
+            "\"error\", \"drop\" or \"clamp\"",
+            Some("\"error\""),
+            "An event earlier than its forerunner: stop, leave it out, or treat it as at the latest time so far.",
+        ),
+        OnBadEvent::Error,
+        |v| v.word(&ON_BACKWARD_TIME),
+    );
+    let on_outside_sensor = table.read(
+        key(
+            "on_outside_sensor",
+            "\"error\" or \"drop\"",
+            Some("\"error\""),
+            "An event outside the sensor: stop, or leave it out.",
+        ),
+        OnBadEvent::Error,
+        |v| v.word(&ON_OUTSIDE_SENSOR),
+    );
+    table.close();
+    Some(SourceSection {
+        kind: kind?.to_owned(),
+        path: path?,
+        pace: pace?,
+        time_unit: time_unit?,
+        on_backward_time: on_backward_time?,
+        on_outside_sensor: on_outside_sensor?,
+    })
+}
+
+fn path(value: &Value<'_>) -> Option<PathBuf> {
+    match value.text("a path in quotes, such as \"events.h5\"")? {
+        "" => value.refuse("is empty; write a path, such as \"events.h5\""),
+        text if text.contains('\0') => value.refuse("has a zero character in it; write a path"),
+        text => Some(PathBuf::from(text)),
+    }
+}
+
+fn pace(value: &Value<'_>) -> Option<Pace> {
+    match value.as_number() {
+        Some(factor) => value.accept(pace_of_factor(factor)),
+        None => {
+            let text = value.text(PACE_HELP.trim_start_matches("write "))?;
+            value.accept(parse_pace(text))
+        }
+    }
+}
+
+/// `[fuse]`.
+pub(super) fn fuse(table: Table<'_>) -> Option<Fuse> {
+    let similarity = table.read(
+        key(
+            "similarity",
+            "\"l2\", \"l2_squared\", \"cosine\" or \"sad\"",
+            Some("\"l2\""),
+            "How alike a query row q and a map row r are: -|q-r|, -|q-r|^2, q.r/(|q||r|) or -sum|q-r|.",
+        ),
+        Similarity::L2,
+        |v| v.word(&SIMILARITIES),
+    );
+    let rule = table.read(
+        key(
+            "rule",
+            "\"sum\"",
+            Some("\"sum\""),
+            "How members' scores become one: their weighted sum.",
+        ),
+        Rule::Sum,
+        |v| v.word(&RULES),
+    );
+    let top = table.read(
+        key(
+            "top",
+            "whole number from 1 to 100",
+            Some("5"),
+            "Candidates in an answer.",
+        ),
+        5,
+        |v| v.integer(1..=100),
+    );
+    let exclusion = table.read(
+        key(
+            "exclusion",
+            "whole number from 0 to 1000000",
+            Some("5"),
+            "Candidates within so many references of the best are no rivals when confidence is measured.",
+        ),
+        5,
+        |v| v.integer(0..=1_000_000),
+    );
+    let sequence = sequence(table.section("sequence"));
+    table.close();
+    let (sequence, length) = sequence?;
+    Some(Fuse {
+        similarity: similarity?,
+        sequence,
+        length,
+        rule: rule?,
+        top: top? as usize,
+        exclusion: exclusion? as usize,
+    })
+}
+
+/// `fuse.sequence`: the method and its length. Without a method the length is 1.
+fn sequence(table: Table<'_>) -> Option<(SequenceMethod, usize)> {
+    let method = table.read(
+        key(
+            "method",
+            "\"paper\" or \"none\"",
+            Some("\"paper\""),
+            "How similarities over time become one score per place; none: this tick's alone.",
+        ),
+        SequenceMethod::Paper,
+        |v| v.word(&SEQUENCE_METHODS),
+    );
+    let length = table.read_optional(
+        key(
+            "length",
+            "whole number from 1 to 1000",
+            Some("10"),
+            "Sequence length L in ticks; only with method = \"paper\".",
+        ),
+        |v| {
+            let length = v.integer(1..=MAX_SEQUENCE)?;
+            if method == Some(SequenceMethod::None) {
+                return v
+                    .refuse("has no effect with method = \"none\"; remove it, or write method = \"paper\"");
+            }
+            Some(length as usize)
+        },
+    );
+    table.close();
+    let default = if method? == SequenceMethod::None { 1 } else { 10 };
+    Some((method?, length?.unwrap_or(default)))
+}
+
+/// `[runtime]` as written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct RuntimeSection {
+    pub delivery: Delivery,
+    pub deadline_ns: u64,
+}
+
+/// `[runtime]`.
+pub(super) fn runtime(table: Table<'_>) -> Option<RuntimeSection> {
+    let delivery = table.read(
+        key(
+            "delivery",
+            "\"lossless\" or \"latest\"",
+            Some("\"lossless\""),
+            "lossless: every stage waits for the next (replay). latest: the newest data wins (live).",
+        ),
+        Delivery::Lossless,
+        |v| v.word(&DELIVERIES),
+    );
+    let deadline_ns = table.read(
+        key(
+            "deadline",
+            "duration",
+            Some("\"1s\""),
+            "The answer is due this long after the tick's last window closed; only with delivery = \"latest\".",
+        ),
+        DEFAULT_DEADLINE_NS,
+        |v| {
+            let ns = v.duration_ns()?;
+            if delivery == Some(Delivery::Lossless) {
+                return v.refuse(
+                    "has no effect in lossless delivery; remove it, or write delivery = \"latest\"",
+                );
+            }
+            Some(ns)
+        },
+    );
+    table.close();
+    Some(RuntimeSection {
+        delivery: delivery?,
+        deadline_ns: deadline_ns?,
+    })
+}

@@ -1,0 +1,100 @@
+//! A catalog for tests: what the kinds of the real one look like, without the code behind them.
+
+use crate::message::ChannelOrder;
+use crate::plan::{Catalog, ExtractorKind, ParamInfo, ParamKind, Params, ReconstructionKind};
+
+const fn side(name: &'static str, default: i64, doc: &'static str) -> ParamInfo {
+    ParamInfo {
+        name,
+        kind: ParamKind::Integer {
+            default,
+            min: 1,
+            max: 256,
+        },
+        doc,
+    }
+}
+
+const TAU: ParamInfo = ParamInfo {
+    name: "tau",
+    kind: ParamKind::Duration {
+        default_ns: 100_000_000,
+    },
+    doc: "Time constant of the decay.",
+};
+
+const TRANSFORM: ParamInfo = ParamInfo {
+    name: "transform",
+    kind: ParamKind::Choice {
+        default: "none",
+        options: &["none", "log1p"],
+    },
+    doc: "Applied to each pixel after resizing.",
+};
+
+fn patch_norm_dim(params: &Params) -> Result<usize, String> {
+    let (side, patch) = (params.integer("side"), params.integer("patch"));
+    if patch < 1 || side % patch != 0 {
+        return Err(format!(
+            "side {side} is not a multiple of patch {patch}; write one that is"
+        ));
+    }
+    Ok((side * side) as usize)
+}
+
+fn raw_pixels_dim(params: &Params) -> Result<usize, String> {
+    Ok((params.integer("height") * params.integer("width")) as usize)
+}
+
+const RECONSTRUCTIONS: &[ReconstructionKind] = &[
+    ReconstructionKind {
+        name: "event_count",
+        doc: "Counts per polarity.",
+        channel_order: ChannelOrder::OffOnZero,
+        params: &[],
+    },
+    ReconstructionKind {
+        name: "event_count_no_polarity",
+        doc: "Counts of both polarities.",
+        channel_order: ChannelOrder::Grey,
+        params: &[],
+    },
+    ReconstructionKind {
+        name: "time_surface",
+        doc: "Time since the last event.",
+        channel_order: ChannelOrder::OnOffZero,
+        params: &[TAU],
+    },
+];
+
+const EXTRACTORS: &[ExtractorKind] = &[
+    ExtractorKind {
+        name: "patch_norm",
+        doc: "Patch-normalised pixels.",
+        params: &[
+            side("side", 32, "Side, pixels."),
+            side("patch", 8, "Side of a patch, pixels."),
+        ],
+        dim: patch_norm_dim,
+    },
+    ExtractorKind {
+        name: "raw_pixels",
+        doc: "Pixels.",
+        params: &[
+            side("height", 24, "Rows."),
+            side("width", 32, "Columns."),
+            TRANSFORM,
+        ],
+        dim: raw_pixels_dim,
+    },
+];
+
+/// Kinds named like those of the stages' crates: `event_count`, `event_count_no_polarity`, `time_surface`,
+/// `patch_norm` and `raw_pixels`.
+#[doc(hidden)]
+pub fn test_catalog() -> Catalog {
+    Catalog {
+        reconstructions: RECONSTRUCTIONS,
+        extractors: EXTRACTORS,
+    }
+}

@@ -1,0 +1,218 @@
+//! The configurations of the repository: those that are good resolve, those that are not say why, word for word.
+//!
+//! `UPDATE_SNAPSHOTS=1 cargo test -p evpr-core` rewrites the expected messages in `tests/config/invalid`.
+#![allow(clippy::panic, clippy::unwrap_used)] // helpers of tests are tests
+
+use evpr_core::Plan;
+use evpr_core::config::{Overrides, parse, test_catalog};
+use evpr_core::plan::Sensor;
+use std::path::{Path, PathBuf};
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// The TOML files of a folder, by name.
+fn configurations(folder: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(root().join(folder)).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|e| e.unwrap().path()).collect();
+    paths.retain(|p| p.extension().is_some_and(|e| e == "toml"));
+    paths.sort();
+    assert!(!paths.is_empty(), "no configurations in {folder}");
+    paths
+}
+
+fn plan(path: &Path) -> Plan {
+    let text = std::fs::read_to_string(path).unwrap();
+    let config = parse(&text, &path.display().to_string(), &test_catalog()).unwrap_or_else(|e| panic!("{e}"));
+    let overrides = Overrides {
+        input: Some(PathBuf::from("input.h5")),
+        ..Overrides::default()
+    };
+    let sensor = config.sensor().unwrap_or(Sensor {
+        height: 260,
+        width: 346,
+    });
+    config
+        .resolve(sensor, &overrides)
+        .unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn named(file: &str) -> Plan {
+    plan(&root().join(file))
+}
+
+fn names(plan: &Plan) -> Vec<&str> {
+    plan.members.iter().map(|m| m.name.as_str()).collect()
+}
+
+#[test]
+fn good_configurations_resolve() {
+    for path in configurations("config")
+        .iter()
+        .chain(&configurations("tests/config/valid"))
+    {
+        let plan = plan(path);
+        assert!(!plan.members.is_empty());
+        assert!(plan.slicing.segments().per_tick() > 0);
+    }
+}
+
+#[test]
+fn minimal_has_the_defaults() {
+    let plan = named("config/minimal.toml");
+    assert_eq!(names(&plan), ["event_count@1s/patch_norm"]);
+    assert_eq!(
+        (plan.slicing.tick, plan.slicing.windows.as_slice()),
+        (1_000_000_000, [1_000_000_000].as_slice())
+    );
+    assert_eq!(
+        (plan.reconstructions[0].channels, plan.extractors[0].dim),
+        (3, 1024)
+    );
+    assert_eq!(plan.extractors[0].params.integer("patch"), 8);
+}
+
+#[test]
+fn ensemble_states_the_defaults() {
+    let (minimal, ensemble) = (named("config/minimal.toml"), named("config/ensemble.toml"));
+    assert_eq!(ensemble.name, minimal.name);
+    assert_eq!(ensemble.source, minimal.source);
+    assert_eq!(ensemble.fuse, minimal.fuse);
+    assert_eq!(ensemble.extractors[0], minimal.extractors[0]);
+    assert_eq!(
+        (ensemble.delivery, ensemble.deadline_ns),
+        (minimal.delivery, minimal.deadline_ns)
+    );
+    assert_eq!(
+        (ensemble.slicing.align, ensemble.slicing.origin),
+        (minimal.slicing.align, minimal.slicing.origin)
+    );
+    assert_eq!(ensemble.members.len(), 24);
+    assert_eq!(ensemble.enabled_members().len(), 23);
+    assert_eq!(
+        &names(&ensemble)[..3],
+        [
+            "event_count@100ms/patch_norm",
+            "event_count@100ms/raw_pixels",
+            "event_count@250ms/patch_norm",
+        ]
+    );
+}
+
+#[test]
+fn corridor_is_the_setting_of_the_figures() {
+    let plan = named("config/corridor.toml");
+    assert_eq!(names(&plan), ["event_count_no_polarity@500ms/patch_norm"]);
+    assert_eq!((plan.slicing.tick_id().as_str(), plan.fuse.length), ("500ms", 10));
+}
+
+#[test]
+fn members_are_in_the_order_of_the_plan() {
+    let plan = named("tests/config/valid/members.toml");
+    assert_eq!(
+        names(&plan),
+        [
+            "event_count@250ms/patch_norm",
+            "event_count@1s/patch_norm",
+            "time_surface@1s/raw_pixels",
+        ]
+    );
+    let starts: Vec<(bool, f64)> = plan.members.iter().map(|m| (m.enabled, m.weight)).collect();
+    assert_eq!(starts, [(true, 1.0), (false, 1.0), (true, 0.0)]);
+    let at = |m: usize| {
+        (
+            plan.members[m].reconstruction,
+            plan.members[m].window,
+            plan.members[m].extractor,
+        )
+    };
+    assert_eq!((at(0), at(1), at(2)), ((0, 0, 0), (0, 1, 0), (1, 1, 1)));
+    assert_eq!(
+        names(&named("tests/config/valid/count.toml")),
+        [
+            "event_count@100000ev/patch_norm",
+            "event_count@1000000ev/patch_norm",
+        ]
+    );
+}
+
+#[test]
+fn live_windows_ascend_and_parameters_arrive() {
+    let plan = named("tests/config/valid/live.toml");
+    assert_eq!(plan.slicing.windows, [10_000_000, 100_000_000]);
+    assert_eq!(plan.reconstructions[1].params.integer("tau"), 300_000_000);
+    assert_eq!(plan.extractors[0].dim, 49);
+    assert_eq!((plan.deadline_ns, plan.fuse.length), (50_000_000, 1));
+    assert_eq!(plan.name, "live-1");
+}
+
+#[test]
+fn a_plan_survives_being_handed_over() {
+    for path in configurations("config")
+        .iter()
+        .chain(&configurations("tests/config/valid"))
+    {
+        let plan = plan(path);
+        let text = serde_json::to_string(&plan).unwrap();
+        assert_eq!(serde_json::from_str::<Plan>(&text).unwrap(), plan);
+    }
+}
+
+/// The two texts, line by line: `-` expected, `+` found.
+fn difference(expected: &str, found: &str) -> String {
+    let (old, new): (Vec<&str>, Vec<&str>) = (expected.lines().collect(), found.lines().collect());
+    let mut out = String::new();
+    for line in &old {
+        let mark = if new.contains(line) { ' ' } else { '-' };
+        out += &format!("{mark} {line}\n");
+    }
+    for line in new.iter().filter(|line| !old.contains(line)) {
+        out += &format!("+ {line}\n");
+    }
+    out
+}
+
+#[test]
+fn bad_configurations_say_why() {
+    let update = std::env::var_os("UPDATE_SNAPSHOTS").is_some_and(|v| v == "1");
+    let mut failures = String::new();
+    for path in configurations("tests/config/invalid") {
+        let file = format!("config/{}", path.file_name().unwrap().to_string_lossy());
+        let text = std::fs::read_to_string(&path).unwrap();
+        let found = match parse(&text, &file, &test_catalog()) {
+            Ok(_) => format!("{file}: accepted\n"),
+            Err(errors) => format!("{errors}\n"),
+        };
+        let snapshot = path.with_extension("txt");
+        if update {
+            std::fs::write(&snapshot, &found).unwrap();
+        }
+        let expected = std::fs::read_to_string(&snapshot).unwrap_or_default();
+        if expected != found || found.contains("accepted") {
+            failures += &format!("{}:\n{}", snapshot.display(), difference(&expected, &found));
+        }
+    }
+    assert!(
+        failures.is_empty(),
+        "if this is meant, run with UPDATE_SNAPSHOTS=1\n{failures}"
+    );
+}
+
+#[test]
+fn five_mistakes_of_different_kinds_are_all_reported() {
+    let path = root().join("tests/config/invalid/five_mistakes.toml");
+    let text = std::fs::read_to_string(path).unwrap();
+    let errors = parse(&text, "x.toml", &test_catalog()).unwrap_err();
+    let found: Vec<(usize, &str)> = errors.errors.iter().map(|e| (e.line, e.key.as_str())).collect();
+    assert_eq!(
+        found,
+        [
+            (2, "slicing.tick"),
+            (3, "slicing.windws"),
+            (10, "extractor[0].params.side"),
+            (13, "ensemble.disabled[0]"),
+            (16, "runtime.deadline"),
+        ]
+    );
+}

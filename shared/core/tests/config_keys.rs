@@ -1,0 +1,99 @@
+//! The reference of all keys agrees with what the parser does and with the documented example.
+#![allow(clippy::panic, clippy::unwrap_used)] // helpers of tests are tests
+
+use evpr_core::Plan;
+use evpr_core::config::{KeyDoc, Overrides, key_reference, parse, test_catalog};
+use evpr_core::plan::Sensor;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+fn keys() -> Vec<KeyDoc> {
+    key_reference(&test_catalog())
+}
+
+fn config_file(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../config")
+        .join(name);
+    std::fs::read_to_string(path).unwrap()
+}
+
+fn plan(text: &str) -> Plan {
+    let config = parse(text, "x.toml", &test_catalog()).unwrap_or_else(|e| panic!("{e}\n{text}"));
+    let overrides = Overrides {
+        input: Some(PathBuf::from("input.h5")),
+        ..Overrides::default()
+    };
+    let sensor = Sensor {
+        height: 260,
+        width: 346,
+    };
+    config.resolve(sensor, &overrides).unwrap()
+}
+
+#[test]
+fn every_key_is_there_once_and_described() {
+    let keys = keys();
+    let mut names: Vec<String> = keys.iter().map(|k| format!("{}.{}", k.section, k.key)).collect();
+    let count = names.len();
+    names.sort();
+    names.dedup();
+    assert_eq!(names.len(), count);
+    for key in [
+        "run.name",
+        "slicing.windows",
+        "reconstruction.params",
+        "extractor.id",
+        "fuse.sequence.length",
+    ] {
+        assert!(names.iter().any(|n| n == key), "{key} is missing");
+    }
+    for key in &keys {
+        assert!(key.doc.ends_with('.') && !key.kind.is_empty(), "{key:?}");
+    }
+}
+
+#[test]
+fn the_defaults_are_what_the_reference_says() {
+    let mut sections: BTreeMap<String, String> = BTreeMap::new();
+    for key in keys() {
+        // A deadline means something only in latest delivery, which is not the default.
+        if let Some(default) = key.default.filter(|_| key.key != "deadline") {
+            *sections.entry(key.section).or_default() += &format!("{} = {default}\n", key.key);
+        }
+    }
+    let minimal = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
+    let mut text = String::new();
+    for (section, lines) in &sections {
+        match section.as_str() {
+            "reconstruction" => text += &format!("[[reconstruction]]\nid = \"event_count\"\n{lines}"),
+            "extractor" => text += &format!("[[extractor]]\nid = \"patch_norm\"\n{lines}"),
+            _ => text += &format!("[{section}]\n{lines}"),
+        }
+    }
+    assert!(sections.len() > 7, "{text}");
+    assert_eq!(plan(&text), plan(minimal));
+    let latest = format!("{minimal}[runtime]\ndelivery = \"latest\"\n");
+    let deadline = keys()
+        .into_iter()
+        .find(|k| k.key == "deadline")
+        .and_then(|k| k.default)
+        .unwrap();
+    assert_eq!(plan(&format!("{latest}deadline = {deadline}\n")), plan(&latest));
+}
+
+#[test]
+fn the_example_shows_every_key_and_parameter() {
+    let text = config_file("ensemble.toml");
+    let catalog = test_catalog();
+    let params = catalog.reconstructions.iter().flat_map(|k| k.params);
+    let params = params
+        .chain(catalog.extractors.iter().flat_map(|k| k.params))
+        .map(|p| p.name);
+    for name in keys().iter().map(|k| k.key).chain(params) {
+        assert!(
+            text.contains(&format!("{name} = ")),
+            "config/ensemble.toml lacks {name}"
+        );
+    }
+}

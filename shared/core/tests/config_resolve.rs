@@ -1,0 +1,131 @@
+//! From the checked configuration to the plan: what the command line and the recording add.
+#![allow(clippy::panic, clippy::unwrap_used)] // helpers of tests are tests
+
+use evpr_core::config::{Config, Overrides, parse, test_catalog};
+use evpr_core::plan::{Delivery, Pace, Sensor};
+use std::path::PathBuf;
+
+const STAGES: &str = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
+const SENSOR: Sensor = Sensor {
+    height: 260,
+    width: 346,
+};
+
+fn config(before: &str) -> Config {
+    parse(&format!("{before}\n{STAGES}"), "x.toml", &test_catalog()).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn input() -> Overrides {
+    Overrides {
+        input: Some(PathBuf::from("other.h5")),
+        ..Overrides::default()
+    }
+}
+
+#[test]
+fn the_recording_may_come_from_either_side_but_must_come() {
+    let from_file = config("[source]\npath = \"events.h5\"");
+    let path = |c: &Config, o: &Overrides| c.resolve(SENSOR, o).map(|p| p.source.path);
+    assert_eq!(
+        path(&from_file, &Overrides::default()).unwrap(),
+        PathBuf::from("events.h5")
+    );
+    assert_eq!(path(&from_file, &input()).unwrap(), PathBuf::from("other.h5"));
+    let open = config("\n[source]\npace = 2.0");
+    assert_eq!(open.source(&Overrides::default()), None);
+    assert_eq!(path(&open, &input()).unwrap(), PathBuf::from("other.h5"));
+    let errors = path(&open, &Overrides::default()).unwrap_err();
+    assert_eq!(
+        errors.to_string(),
+        "x.toml:2: source.path: is missing; write the recording's path here, or give it with --input"
+    );
+}
+
+#[test]
+fn the_command_line_takes_precedence() {
+    let config =
+        config("[source]\npace = \"realtime\"\n[runtime]\ndelivery = \"latest\"\ndeadline = \"50ms\"");
+    let plain = config.resolve(SENSOR, &input()).unwrap();
+    assert_eq!(
+        (plain.source.pace, plain.delivery),
+        (Pace::Factor(1.0), Delivery::Latest)
+    );
+    assert_eq!(
+        (plain.name.as_str(), plain.map, plain.record),
+        ("evpr", None, None)
+    );
+    let overrides = Overrides {
+        name: Some("second".to_owned()),
+        pace: Some(Pace::Unpaced),
+        delivery: Some(Delivery::Lossless),
+        map: Some(PathBuf::from("map")),
+        record: Some(PathBuf::from("out")),
+        ..input()
+    };
+    let plan = config.resolve(SENSOR, &overrides).unwrap();
+    assert_eq!(
+        (plan.source.pace, plan.delivery),
+        (Pace::Unpaced, Delivery::Lossless)
+    );
+    assert_eq!(plan.name, "second");
+    assert_eq!(
+        (plan.map, plan.record),
+        (Some(PathBuf::from("map")), Some(PathBuf::from("out")))
+    );
+}
+
+#[test]
+fn the_recording_must_have_the_sensor_that_the_configuration_gives() {
+    let given = config("[sensor]\nheight = 260\nwidth = 346");
+    assert_eq!(given.sensor(), Some(SENSOR));
+    assert_eq!(given.resolve(SENSOR, &input()).unwrap().sensor, SENSOR);
+    let turned = Sensor {
+        height: 346,
+        width: 260,
+    };
+    let message = given.resolve(turned, &input()).unwrap_err().to_string();
+    assert!(
+        message.starts_with("x.toml:1: sensor: is 260×346 (height × width), but"),
+        "{message}"
+    );
+    assert_eq!(config("").sensor(), None);
+    for height in [0, 8193] {
+        assert!(config("").resolve(Sensor { height, width: 1 }, &input()).is_err());
+    }
+}
+
+#[test]
+fn all_that_is_wrong_with_the_command_line_is_said_at_once() {
+    let overrides = Overrides {
+        name: Some("Two Words".to_owned()),
+        pace: Some(Pace::Factor(f64::NAN)),
+        ..Overrides::default()
+    };
+    let errors = config("").resolve(SENSOR, &overrides).unwrap_err();
+    let keys: Vec<&str> = errors.errors.iter().map(|e| e.key.as_str()).collect();
+    assert_eq!(keys, ["--name", "--pace", "source.path"]);
+    let text = errors.to_string();
+    assert!(
+        text.starts_with("command line: --name: \"Two Words\" cannot be a name; write 1 to 20"),
+        "{text}"
+    );
+}
+
+#[test]
+fn errors_have_lines_and_columns_in_characters() {
+    let text =
+        format!("[run]\nname = 'µ' # µ\n{STAGES}params = {{ µ = 1, side = 0 }}\n").replace("{ µ", "{ \"µ\"");
+    let errors = parse(&text, "x.toml", &test_catalog()).unwrap_err().errors;
+    let places: Vec<(usize, usize, &str)> = errors
+        .iter()
+        .map(|e| (e.line, e.column, e.key.as_str()))
+        .collect();
+    assert_eq!(
+        places,
+        [
+            (2, 8, "run.name"),
+            (7, 12, "extractor[0].params.\"µ\""),
+            (7, 28, "extractor[0].params.side")
+        ]
+    );
+}
