@@ -224,7 +224,8 @@ fn names(
         }
         Some(())
     });
-    list.map(|_| seen)
+    let all_good = list?.iter().all(Option::is_some);
+    all_good.then_some(seen)
 }
 
 fn weights(value: &Value<'_>, check: impl Fn(&str, &At) -> Option<()>) -> Option<BTreeMap<String, f64>> {

@@ -315,8 +315,12 @@ impl<'r> Value<'r> {
         }
     }
 
-    /// A list, each item read by `read`; none when an item cannot be used, after reading all of them.
-    pub(super) fn list<T>(&self, expected: &str, read: impl FnMut(Value<'r>) -> Option<T>) -> Option<Vec<T>> {
+    /// A list, each item read by `read`: none for each item that cannot be used.
+    pub(super) fn list<T>(
+        &self,
+        expected: &str,
+        read: impl FnMut(Value<'r>) -> Option<T>,
+    ) -> Option<Vec<Option<T>>> {
         let DeValue::Array(items) = self.value.get_ref() else {
             return self.wrong(expected);
         };
@@ -324,8 +328,7 @@ impl<'r> Value<'r> {
             .iter()
             .enumerate()
             .map(|(index, item)| self.item(index, item));
-        let read: Vec<Option<T>> = items.map(read).collect();
-        read.into_iter().collect()
+        Some(items.map(read).collect())
     }
 
     /// A table in braces, or a section of its own.

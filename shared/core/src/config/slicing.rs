@@ -75,7 +75,7 @@ pub(super) fn slicing(table: Table<'_>) -> Option<Slicing> {
         |v| origin(v, mode),
     );
     let windows = match windows {
-        Some(Some((list, at))) => check_windows(&table, tick, align, list, &at),
+        Some(Some((list, at))) => check_windows(&table, tick, align, &list, &at),
         Some(None) => tick.map(|tick| vec![tick]),
         None => None,
     };
@@ -122,10 +122,10 @@ fn check_windows(
     table: &Table<'_>,
     tick: Option<u64>,
     align: Option<Align>,
-    list: Vec<(u64, At)>,
+    list: &[Option<(u64, At)>],
     at: &At,
 ) -> Option<Vec<u64>> {
-    let mut good = true;
+    let mut good = list.iter().all(Option::is_some);
     let mut report = |at: &At, message: String| {
         table.sink.report(at, message);
         good = false;
@@ -142,8 +142,16 @@ fn check_windows(
             format!("has {} windows; write at most {MAX_WINDOWS}", list.len()),
         );
     }
-    for (index, (window, at)) in list.iter().enumerate() {
-        if list[..index].iter().any(|(earlier, _)| earlier == window) {
+    for (index, (window, at)) in list
+        .iter()
+        .enumerate()
+        .filter_map(|(i, w)| Some((i, w.as_ref()?)))
+    {
+        if list[..index]
+            .iter()
+            .flatten()
+            .any(|(earlier, _)| earlier == window)
+        {
             report(at, "is in the list already; remove one of the two".to_owned());
         }
         let Some(tick) = tick else { continue };
@@ -158,7 +166,7 @@ fn check_windows(
             report(at, message);
         }
     }
-    let mut windows: Vec<u64> = list.iter().map(|(window, _)| *window).collect();
+    let mut windows: Vec<u64> = list.iter().flatten().map(|(window, _)| *window).collect();
     windows.sort_unstable();
     good.then_some(windows)
 }
