@@ -35,16 +35,20 @@ struct Slot {
 }
 
 impl Slot {
+    /// Where an event's time is kept, if it lies in the sensor.
+    #[inline]
+    fn index(&self, event: &Event, width: usize) -> Option<usize> {
+        let x = usize::from(event.x);
+        let index = usize::from(event.y_polarity) * width + x;
+        (x < width && index < self.times.len()).then_some(index)
+    }
+
     /// Enters events whose times, `base` added, fit; returns how many lie in the sensor.
     fn enter(&mut self, events: &[Event], base: u32, width: usize) -> usize {
-        let times = self.times.as_mut_slice();
         let mut entered = 0;
         for event in events {
-            let x = usize::from(event.x);
-            if x < width
-                && let Some(time) = times.get_mut(usize::from(event.y_polarity) * width + x)
-            {
-                *time = base + event.t_us;
+            if let Some(index) = self.index(event, width) {
+                self.times[index] = base + event.t_us;
                 entered += 1;
             }
         }
@@ -78,27 +82,25 @@ impl Slot {
         let entered = match self.stored(base_us) {
             Some(base) if last_fits => self.enter(events, base, width),
             // Rare: more than half an hour between events of one segment, or as much back.
-            _ => events.iter().map(|e| self.enter_far(*e, base_us, width)).sum(),
+            _ => events.iter().map(|e| self.enter_far(e, base_us, width)).sum(),
         };
-        if entered > 0 {
-            let rows = self.times.len() / width;
-            let inside = |e: &&Event| usize::from(e.x) < width && usize::from(e.y_polarity) < rows;
-            let last = events.iter().rev().find(inside);
-            self.last_us = last.map(|e| base_us.saturating_add(e.t_us.into()));
+        if let Some(last) = events.iter().rev().find(|e| self.index(e, width).is_some()) {
+            self.last_us = Some(base_us.saturating_add(last.t_us.into()));
         }
         entered
     }
 
-    fn enter_far(&mut self, event: Event, base_us: u64, width: usize) -> usize {
-        let time_us = base_us.saturating_add(event.t_us.into());
-        let at = match self.stored(time_us) {
-            Some(at) => at,
-            None => {
-                self.rebase(time_us);
-                self.stored(time_us).unwrap_or(u32::MAX)
-            }
+    /// Enters one event, and moves the base where its time does not fit.
+    fn enter_far(&mut self, event: &Event, base_us: u64, width: usize) -> usize {
+        let Some(index) = self.index(event, width) else {
+            return 0;
         };
-        self.enter(&[Event { t_us: 0, ..event }], at, width)
+        let time_us = base_us.saturating_add(event.t_us.into());
+        if self.stored(time_us).is_none() {
+            self.rebase(time_us);
+        }
+        self.times[index] = self.stored(time_us).unwrap_or(u32::MAX);
+        1
     }
 
     /// Overwrites the ages of the pixels that have an event here; with `replace` all the others become "no event".
