@@ -1,0 +1,68 @@
+//! Recall on real rows: Brisbane-Event-VPR at 7×7 pixels, compared with the figures of the method's reference.
+
+mod support;
+
+use evpr_core::plan::{SequenceMethod, Similarity};
+use evpr_fuse::{sequence_match, similarity::similarity};
+use ndarray::{Array2, Array3, Axis};
+use std::collections::{HashMap, HashSet};
+
+/// Rows of `raw_pixels` 7×7 with `log1p`: mean 0, standard deviation 1, L2-normalised.
+fn rows(path: &std::path::Path) -> Array2<f32> {
+    let images: Array3<u8> = ndarray_npy::read_npy(path).unwrap();
+    let mut rows = Array2::zeros((images.len_of(Axis(0)), 49));
+    for (image, mut row) in images.outer_iter().zip(rows.rows_mut()) {
+        let v: Vec<f64> = image.iter().map(|p| f64::from(*p).ln_1p()).collect();
+        let mean = v.iter().sum::<f64>() / 49.0;
+        let sigma = (v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 49.0).sqrt() + 1e-6;
+        let z: Vec<f64> = v.iter().map(|x| (x - mean) / sigma).collect();
+        let norm = z.iter().map(|x| x * x).sum::<f64>().sqrt();
+        row.iter_mut().zip(z).for_each(|(r, z)| *r = (z / norm) as f32);
+    }
+    rows
+}
+
+#[test]
+fn recall_at_1_is_as_published() {
+    let Some(folder) = support::shared("recall_at_1_is_as_published", "data/brisbane_7x7") else {
+        return;
+    };
+    let (query, reference) = (
+        rows(&folder.join("query_sunset1.npy")),
+        rows(&folder.join("reference_sunset2.npy")),
+    );
+    let mut truth: HashMap<usize, HashSet<usize>> = HashMap::new();
+    for line in std::fs::read_to_string(folder.join("ground_truth.csv"))
+        .unwrap()
+        .lines()
+        .skip(1)
+    {
+        let (q, r) = line.split_once(',').unwrap();
+        truth
+            .entry(q.parse().unwrap())
+            .or_default()
+            .insert(r.parse().unwrap());
+    }
+    let valid = vec![true; reference.nrows()];
+    let mut s = Array2::zeros((query.nrows(), reference.nrows()));
+    for (q, mut out) in query.rows().into_iter().zip(s.rows_mut()) {
+        let (q, r) = (q.to_slice().unwrap(), reference.as_slice().unwrap());
+        similarity(Similarity::L2, q, r, &valid, out.as_slice_mut().unwrap());
+    }
+    for (length, want) in [(1, 0.185), (10, 0.558), (20, 0.571)] {
+        let scores = sequence_match(s.view(), length, SequenceMethod::Paper);
+        let right = truth.iter().filter(|(q, accepted)| {
+            let row = scores.row(**q);
+            let best = row
+                .iter()
+                .enumerate()
+                .fold(0, |best, (j, v)| if *v > row[best] { j } else { best });
+            accepted.contains(&best)
+        });
+        let recall = right.count() as f64 / truth.len() as f64;
+        assert!(
+            (recall - want).abs() < 0.01,
+            "R@1 at L = {length}: {recall:.3} instead of {want}"
+        );
+    }
+}
