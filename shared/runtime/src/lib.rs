@@ -4,6 +4,8 @@
 //! This is the only crate that names iceoryx2's ports. Stages know nothing of it.
 
 mod channel;
+#[cfg(test)]
+mod channel_tests;
 mod clock;
 mod control;
 mod domain;

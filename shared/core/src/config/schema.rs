@@ -329,18 +329,10 @@ pub(super) fn runtime(table: Table<'_>) -> Option<RuntimeSection> {
             "deadline",
             "duration",
             Some("\"1s\""),
-            "The answer is due this long after the tick's last window closed; only with delivery = \"latest\".",
+            "Latest delivery: the answer is due this long after the tick's last window closed.",
         ),
         DEFAULT_DEADLINE_NS,
-        |v| {
-            let ns = v.duration_ns()?;
-            if delivery == Some(Delivery::Lossless) {
-                return v.refuse(
-                    "has no effect in lossless delivery; remove it, or write delivery = \"latest\"",
-                );
-            }
-            Some(ns)
-        },
+        |v| v.duration_ns(),
     );
     table.close();
     Some(RuntimeSection {

@@ -1,0 +1,173 @@
+//! Channels between two nodes of one process: what holds for the library that everything rests on.
+
+use crate::RunFolder;
+use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc};
+use crate::run::Identity;
+use crate::stop::Stop;
+use evpr_core::message::{ChunkHeader, Chunks, Event};
+use evpr_core::plan::{Channel, Delivery, Topic, test_plan};
+use evpr_core::stage::{Outlet, StageError};
+use iceoryx2::node::Node;
+
+struct Bench {
+    folder: RunFolder,
+    _temp: tempfile::TempDir,
+}
+
+impl Drop for Bench {
+    fn drop(&mut self) {
+        self.folder.sweep();
+    }
+}
+
+impl Bench {
+    fn new() -> Self {
+        let temp = tempfile::Builder::new().prefix("ev").tempdir_in("/tmp").unwrap();
+        Self { folder: RunFolder::at(temp.path()), _temp: temp }
+    }
+
+    fn node(&self) -> Node<Ipc> {
+        self.folder.node("test").unwrap()
+    }
+}
+
+fn channel(delivery: Delivery) -> Channel {
+    let mut plan = test_plan();
+    plan.delivery = delivery;
+    let mut channel = plan.channel(&Topic::Events).unwrap();
+    channel.max_items = 100;
+    channel.buffer = 3;
+    channel
+}
+
+fn sender(node: &Node<Ipc>, channel: &Channel, stop: &Stop, incarnation: u32) -> ChannelSender<Chunks> {
+    let identity = Identity { run_id: 7, service: 0, incarnation };
+    ChannelSender::new(ChannelServices::open(node, channel).unwrap(), identity, stop, 1).unwrap()
+}
+
+fn receiver(node: &Node<Ipc>, channel: &Channel) -> ChannelReceiver<Chunks> {
+    ChannelReceiver::new(ChannelServices::open(node, channel).unwrap(), 7).unwrap()
+}
+
+fn send(sender: &mut ChannelSender<Chunks>, tick: u64, len: usize) -> Result<(), StageError> {
+    let fill = &mut |slots: &mut [Event]| {
+        for (i, slot) in slots.iter_mut().enumerate() {
+            *slot = Event::new(i as u32, 1, 2, true);
+        }
+    };
+    sender.emit(ChunkHeader { tick, ..ChunkHeader::default() }, len, fill)
+}
+
+/// (tick, payload length, gap) of everything that has come.
+fn drain(receiver: &mut ChannelReceiver<Chunks>) -> Vec<(u64, usize, bool)> {
+    let mut all = Vec::new();
+    while let Some(message) = receiver.receive().unwrap() {
+        all.push((message.header().tick, message.payload().len(), message.gap));
+    }
+    all
+}
+
+#[test]
+fn empty_and_full_messages_arrive_with_their_true_length() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Lossless);
+    let mut to = receiver(&b, &channel);
+    let mut from = sender(&a, &channel, &Stop::new(), 1);
+    send(&mut from, 1, 0).unwrap();
+    send(&mut from, 2, 100).unwrap();
+    assert_eq!(drain(&mut to), [(1, 0, false), (2, 100, false)]);
+    assert!(matches!(send(&mut from, 3, 101), Err(StageError::Fatal(_))));
+}
+
+#[test]
+fn what_was_sent_can_be_read_after_the_sender_has_gone() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Lossless);
+    let mut to = receiver(&b, &channel);
+    let mut from = sender(&a, &channel, &Stop::new(), 1);
+    // A reader that had not connected yet would miss it: hence ingest stays until it is told to go.
+    assert_eq!(drain(&mut to), []);
+    for tick in 0..3 {
+        send(&mut from, tick, 5).unwrap();
+    }
+    drop(from);
+    drop(a);
+    assert_eq!(drain(&mut to), [(0, 5, false), (1, 5, false), (2, 5, false)]);
+}
+
+#[test]
+fn latest_loses_the_oldest_and_counts_it() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Latest);
+    let mut to = receiver(&b, &channel);
+    let mut from = sender(&a, &channel, &Stop::new(), 1);
+    send(&mut from, 0, 1).unwrap();
+    assert_eq!(drain(&mut to).len(), 1);
+    for tick in 1..=5 {
+        send(&mut from, tick, 1).unwrap();
+    }
+    assert_eq!(drain(&mut to), [(3, 1, true), (4, 1, false), (5, 1, false)]);
+    assert_eq!(to.lost, 2);
+}
+
+#[test]
+fn lossless_waits_for_room_and_gives_up_when_stopped() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Lossless);
+    let mut to = receiver(&b, &channel);
+    let stop = Stop::new();
+    let mut from = sender(&a, &channel, &stop, 1);
+    for tick in 0..3 {
+        send(&mut from, tick, 1).unwrap();
+    }
+    // The fourth waits until the reader, in another thread, has made room.
+    std::thread::scope(|scope| {
+        let blocked = scope.spawn(|| (3..10).try_for_each(|tick| send(&mut from, tick, 1)));
+        let mut seen = 0;
+        while seen < 10 {
+            seen += drain(&mut to).len();
+            std::thread::yield_now();
+        }
+        assert!(blocked.join().unwrap().is_ok());
+    });
+    for tick in 10..13 {
+        send(&mut from, tick, 1).unwrap();
+    }
+    stop.raise();
+    assert!(matches!(send(&mut from, 13, 1), Err(StageError::Stopped)));
+}
+
+#[test]
+fn messages_of_another_run_are_refused() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Lossless);
+    let mut to = ChannelReceiver::<Chunks>::new(ChannelServices::open(&b, &channel).unwrap(), 8).unwrap();
+    let mut from = sender(&a, &channel, &Stop::new(), 1);
+    send(&mut from, 0, 1).unwrap();
+    assert_eq!(drain(&mut to), []);
+    assert_eq!(to.refused, 1);
+}
+
+#[test]
+fn nothing_is_left_in_shared_memory() {
+    let bench = Bench::new();
+    let prefix = bench.folder.prefix();
+    {
+        let node = bench.node();
+        let channel = channel(Delivery::Lossless);
+        let _to = receiver(&node, &channel);
+        let _from = sender(&node, &channel, &Stop::new(), 1);
+    }
+    let left = || {
+        let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+        entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
+    };
+    assert!(left() <= 1, "more than iceoryx2's own table, which it never removes");
+    bench.folder.sweep();
+    assert_eq!(left(), 0);
+}
