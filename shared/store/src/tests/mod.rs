@@ -1,0 +1,5 @@
+//! Tests of recording, closing and opening together.
+
+mod crash;
+mod refusals;
+mod round_trip;
