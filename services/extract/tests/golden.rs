@@ -25,7 +25,7 @@ fn image(mut seed: u64, sensor: Sensor, channels: usize) -> Vec<u8> {
     let mut pixels: Vec<u8> = (0..sensor.height * row)
         .map(|_| {
             let r = split_mix(&mut seed);
-            ((r >> 56) * (r >> 48 & 255) >> 8) as u8
+            (((r >> 56) * (r >> 48 & 255)) >> 8) as u8
         })
         .collect();
     pixels[..sensor.height / 2 * row].iter_mut().for_each(|v| *v /= 3);

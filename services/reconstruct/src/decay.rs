@@ -1,7 +1,5 @@
 //! Grey levels of a time surface as a function of age.
 
-/// Ages are cut into about so many buckets.
-const MAX_BUCKETS: u64 = 1 << 13;
 /// At this many time constants of age, tanh(s) is below 1e-6 / 255: the level is 0 whatever the channel's largest.
 const BLACK_AFTER_TAUS: f64 = 18.4;
 
@@ -12,7 +10,8 @@ const BLACK_AFTER_TAUS: f64 = 18.4;
 ///
 /// The level falls with age, so 255 ages at which it changes say it all: they are computed once per frame and channel,
 /// and checked against the formula itself, so that every level is the formula's. A pixel then costs a look into a
-/// table of buckets and a step or two.
+/// table of buckets and at most one step, without a branch: the slope of the level is at most 255 / τ, so changes are at
+/// least τ / 255 apart, and no bucket is longer than that.
 ///
 /// An *age* here is `t_last + lead − t` in µs, where the lead is τ rounded up: events up to τ after `t_last` (which a
 /// stream in order does not have) keep an age, and what is later still has s = 1 as well.
@@ -23,9 +22,9 @@ pub(crate) struct Decay {
     /// From this age on the level is 0.
     black_us: u32,
     shift: u32,
-    /// `ends[l]`: ages below it have level l or more.
+    /// `ends[l]`: ages below it have level l or more; of level 0 that is all.
     ends: [u32; 256],
-    /// Level of the first age of each bucket.
+    /// Level of the first age of each bucket of 2^shift µs; the last is for all that is older, and black.
     buckets: Vec<u8>,
 }
 
@@ -37,17 +36,15 @@ impl Decay {
     pub(crate) fn new(tau_us: f64) -> Self {
         let lead_us = tau_us.ceil() as u32;
         let black_us = lead_us + (BLACK_AFTER_TAUS * tau_us).ceil() as u32 + 1;
-        let mut shift = 0;
-        while u64::from(black_us) >> shift >= MAX_BUCKETS {
-            shift += 1;
-        }
+        let closest_us = (tau_us / 255.0) as u32;
+        let shift = closest_us.max(1).ilog2();
         Self {
             tau_us,
             lead_us,
             black_us,
             shift,
             ends: [0; 256],
-            buckets: vec![0; (black_us >> shift) as usize + 1],
+            buckets: vec![0; (black_us >> shift) as usize + 2],
         }
     }
 
@@ -76,7 +73,6 @@ impl Decay {
     /// Makes ready for a channel whose youngest pixel has this age; `u32::MAX` when it has no event.
     pub(crate) fn prepare(&mut self, youngest_us: u32) {
         if youngest_us == u32::MAX {
-            self.ends.fill(0);
             self.buckets.fill(0);
             return;
         }
@@ -118,14 +114,9 @@ impl Decay {
     /// The level at this age, µs; `u32::MAX` means no event.
     #[inline]
     pub(crate) fn level(&self, age_us: u32) -> u8 {
-        let Some(first) = self.buckets.get((age_us >> self.shift) as usize) else {
-            return 0;
-        };
-        let mut level = *first;
-        while level > 0 && age_us >= self.ends[usize::from(level)] {
-            level -= 1;
-        }
-        level
+        let bucket = (age_us >> self.shift) as usize;
+        let level = self.buckets[bucket.min(self.buckets.len() - 1)];
+        level - u8::from(level > 0 && age_us >= self.ends[usize::from(level)])
     }
 }
 

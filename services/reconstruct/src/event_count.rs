@@ -13,6 +13,8 @@ use evpr_core::plan::Sensor;
 pub(crate) struct EventCount {
     width: usize,
     counters: Counters<true>,
+    /// tanh of every count.
+    tanh: [f32; 256],
     off_levels: Vec<u8>,
     on_levels: Vec<u8>,
 }
@@ -23,19 +25,20 @@ impl EventCount {
         Self {
             width: sensor.width,
             counters: Counters::new(sensor, slots),
+            tanh: std::array::from_fn(|count| (count as f32).tanh()),
             off_levels: vec![0; sensor.width],
             on_levels: vec![0; sensor.width],
         }
     }
 }
 
-/// Level of a count in a channel whose largest count is `largest`.
-fn level(count: u8, largest: u8) -> u8 {
+/// Levels of the counts in a channel whose largest count is `largest`.
+fn levels(tanh: &[f32; 256], largest: u8) -> Levels {
     if largest == 0 {
-        return 0;
+        return Levels::new(|_| 0);
     }
-    let tanh = |n: u8| f32::from(n).tanh();
-    (tanh(count) / (tanh(largest) + 1e-6_f32) * 255.0).clamp(0.0, 255.0) as u8
+    let scale = tanh[usize::from(largest)] + 1e-6;
+    Levels::new(|count| (tanh[usize::from(count)] / scale * 255.0).clamp(0.0, 255.0) as u8)
 }
 
 /// `iter().max()` does not vectorise; a fold does.
@@ -61,8 +64,8 @@ impl Method for EventCount {
             off_largest = largest(off, off_largest);
             on_largest = largest(on, on_largest);
         }
-        let off_map = Levels::new(|n| level(n, off_largest));
-        let on_map = Levels::new(|n| level(n, on_largest));
+        let off_map = levels(&self.tanh, off_largest);
+        let on_map = levels(&self.tanh, on_largest);
         for (rows, out) in counts
             .chunks_exact(2 * width)
             .zip(out.chunks_exact_mut(3 * width))
@@ -82,7 +85,13 @@ mod tests {
     /// The levels of the reference, by the channel's largest count.
     #[test]
     fn levels_are_the_reference_lists() {
-        let list = |largest: u8| (0..=largest).map(|n| level(n, largest)).collect::<Vec<_>>();
+        let method = EventCount::new(Sensor { height: 1, width: 1 }, 1);
+        let list = |largest: u8| {
+            let counts: Vec<u8> = (0..=largest).collect();
+            let mut list = vec![9; counts.len()];
+            levels(&method.tanh, largest).apply(&counts, &mut list);
+            list
+        };
         assert_eq!(list(0), [0]);
         assert_eq!(list(1), [0, 254]);
         assert_eq!(list(2), [0, 201, 254]);

@@ -34,21 +34,22 @@ struct Slot {
     last_us: Option<u64>,
 }
 
-impl Slot {
-    /// Where an event's time is kept, if it lies in the sensor.
-    #[inline]
-    fn index(&self, event: &Event, width: usize) -> Option<usize> {
-        let x = usize::from(event.x);
-        let index = usize::from(event.y_polarity) * width + x;
-        (x < width && index < self.times.len()).then_some(index)
-    }
+/// Where in `len` times of rows of `width` an event's is kept, if the event lies in the sensor.
+#[inline]
+fn index(event: &Event, width: usize, len: usize) -> Option<usize> {
+    let x = usize::from(event.x);
+    let index = usize::from(event.y_polarity) * width + x;
+    (x < width && index < len).then_some(index)
+}
 
+impl Slot {
     /// Enters events whose times, `base` added, fit; returns how many lie in the sensor.
     fn enter(&mut self, events: &[Event], base: u32, width: usize) -> usize {
+        let times = self.times.as_mut_slice();
         let mut entered = 0;
         for event in events {
-            if let Some(index) = self.index(event, width) {
-                self.times[index] = base + event.t_us;
+            if let Some(index) = index(event, width, times.len()) {
+                times[index] = base + event.t_us;
                 entered += 1;
             }
         }
@@ -84,7 +85,8 @@ impl Slot {
             // Rare: more than half an hour between events of one segment, or as much back.
             _ => events.iter().map(|e| self.enter_far(e, base_us, width)).sum(),
         };
-        if let Some(last) = events.iter().rev().find(|e| self.index(e, width).is_some()) {
+        let inside = |e: &&Event| index(e, width, self.times.len()).is_some();
+        if let Some(last) = events.iter().rev().find(inside) {
             self.last_us = Some(base_us.saturating_add(last.t_us.into()));
         }
         entered
@@ -92,7 +94,7 @@ impl Slot {
 
     /// Enters one event, and moves the base where its time does not fit.
     fn enter_far(&mut self, event: &Event, base_us: u64, width: usize) -> usize {
-        let Some(index) = self.index(event, width) else {
+        let Some(index) = index(event, width, self.times.len()) else {
             return 0;
         };
         let time_us = base_us.saturating_add(event.t_us.into());
