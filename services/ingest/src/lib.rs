@@ -1,1 +1,25 @@
-//! To come.
+//! Ingest: reads a recording, checks its events, and cuts them into ticks, segments and chunks.
+//!
+//! The way of an event: a [`source::Recording`] decodes it, the [`Screen`] checks it against the sensor and the
+//! order of time, and the [`Slicer`] puts it into its segment. [`Ingest`] runs the three, decoding ahead on a
+//! thread of its own, and paces the replay. [`info`] looks at a recording without cutting it.
+
+mod driver;
+mod error;
+mod event;
+mod info;
+mod pace;
+mod reader;
+mod screen;
+mod slicer;
+pub mod source;
+#[cfg(test)]
+mod testing;
+
+pub use driver::{Ingest, IngestSummary};
+pub use error::SourceError;
+pub use event::{BATCH_EVENTS, MAX_TIME_NS, RawEvent};
+pub use info::{RecordingInfo, info};
+pub use screen::{Screen, ScreenTally};
+pub use slicer::{MAX_GAP_TICKS, SliceTally, Slicer};
+pub use source::{Recording, SourceInfo, open, probe};
