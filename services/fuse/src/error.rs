@@ -1,7 +1,5 @@
 //! What can be wrong with a map.
 
-use std::path::PathBuf;
-
 /// Why a map cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FuseError {
@@ -90,12 +88,7 @@ pub enum FuseError {
         /// Tick of the query traverse.
         tick: u64,
     },
-    /// The traverse could not be opened, or it was made by other parameters.
-    #[error("{path}: {reason}", path = path.display())]
-    Traverse {
-        /// The traverse.
-        path: PathBuf,
-        /// What is wrong with it and what to do, in one line.
-        reason: String,
-    },
+    /// The traverse could not be opened, or it was made by other parameters than the plan's.
+    #[error(transparent)]
+    Store(#[from] evpr_store::StoreError),
 }

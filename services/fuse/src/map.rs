@@ -1,6 +1,9 @@
 //! The reference map: per member of the plan the rows of a traverse, and which of its ticks have one.
 
 use crate::FuseError;
+use evpr_core::Plan;
+use evpr_store::{MemberRows, Traverse};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Where rows come from: a memory-mapped traverse, or plain memory in tests.
@@ -12,6 +15,12 @@ pub trait Rows: Send + Sync {
 impl Rows for Vec<f32> {
     fn values(&self) -> &[f32] {
         self
+    }
+}
+
+impl Rows for MemberRows {
+    fn values(&self) -> &[f32] {
+        self.rows()
     }
 }
 
@@ -84,8 +93,39 @@ pub struct Map {
 }
 
 impl Map {
+    /// Opens the plan's map: its rows are memory-mapped, not read.
+    ///
+    /// # Errors
+    /// [`FuseError::NoMap`]; [`FuseError::Store`] when the traverse cannot be opened, or was made by other parameters
+    /// than the plan's, with every difference.
+    pub fn open(plan: &Plan) -> Result<Self, FuseError> {
+        let path = plan.map.as_deref().ok_or(FuseError::NoMap)?;
+        let (traverse, members) = open_members(plan, path)?;
+        Ok(Self {
+            references: traverse.len(),
+            positions: traverse.ticks().iter().map(|t| t.position).collect(),
+            members,
+        })
+    }
+
     /// The position of a reference, (east, north) in metres.
     pub fn position(&self, reference: usize) -> Option<[f64; 2]> {
         self.positions.get(reference).copied().flatten()
     }
+}
+
+/// Opens a traverse and the rows of all members of the plan in it, in the plan's order.
+pub(crate) fn open_members(plan: &Plan, path: &Path) -> Result<(Traverse, Vec<MapMember>), FuseError> {
+    let traverse = Traverse::open(path)?;
+    traverse.check_against(plan)?;
+    let members = plan.members.iter().map(|member| {
+        let rows = traverse.member(&member.name)?;
+        Ok(MapMember {
+            dim: rows.dim(),
+            valid: rows.present().to_vec(),
+            rows: Arc::new(rows),
+        })
+    });
+    let members = members.collect::<Result<_, FuseError>>()?;
+    Ok((traverse, members))
 }

@@ -1,11 +1,13 @@
 //! Answers of a stored query traverse, computed by the same engine as the running fuser's.
 
 use crate::engine::{Engine, Input, check_members};
+use crate::map::open_members;
 use crate::{FuseError, Map, MapMember};
 use evpr_core::ledger::TickInfo;
 use evpr_core::member::MAX_MEMBERS;
 use evpr_core::stage::Answer;
 use evpr_core::{MemberSet, Plan, Reason};
+use std::path::Path;
 
 /// A tick of a stored traverse.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,6 +27,25 @@ pub struct Query {
     pub ticks: Vec<QueryTick>,
     /// Per member of the plan, one row per entry of `ticks`.
     pub members: Vec<MapMember>,
+}
+
+impl Query {
+    /// Opens a recorded traverse that the plan's members made.
+    ///
+    /// # Errors
+    /// [`FuseError::Store`] when the traverse cannot be opened, or was made by other parameters than the plan's.
+    pub fn open(plan: &Plan, path: &Path) -> Result<Self, FuseError> {
+        let (traverse, members) = open_members(plan, path)?;
+        let tick = |t: &evpr_store::TickRecord| QueryTick {
+            tick: t.tick,
+            start_us: t.start_us,
+            end_us: t.end_us,
+        };
+        Ok(Self {
+            ticks: traverse.ticks().iter().map(tick).collect(),
+            members,
+        })
+    }
 }
 
 /// The answers of a stored traverse, one per entry of its ticks, with the plan's weights.

@@ -1,4 +1,5 @@
 //! Recall on real rows: Brisbane-Event-VPR at 7×7 pixels, compared with the figures of the method's reference.
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 mod support;
 

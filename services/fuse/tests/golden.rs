@@ -1,4 +1,5 @@
 //! Similarity and sequence matching against the golden arrays of scripts/make_fuse_golden.py.
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 mod support;
 

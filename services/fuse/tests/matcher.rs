@@ -1,4 +1,5 @@
 //! Properties of the sequence matcher, against a plain transcription of the formula.
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use evpr_core::plan::SequenceMethod;
 use evpr_fuse::{SequenceMatcher, sequence_match};

@@ -1,5 +1,5 @@
 //! What the tests of this crate share: a plan of any size, a map of noise, and messages for a fuser.
-#![allow(dead_code, unreachable_pub)]
+#![allow(dead_code, unreachable_pub, clippy::unwrap_used, clippy::panic)]
 
 use evpr_core::message::{DescriptorHeader, Life, Matches, Stamp, TickHeader, TickKind};
 use evpr_core::plan::{Extractor, Member, Params, test_plan};
