@@ -9,7 +9,7 @@ use std::path::Path;
 const UNIT_TOLERANCE: f64 = 1e-3;
 
 /// What a traverse holds and what is wrong with it.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct VerifySummary {
     /// Ticks.
     pub ticks: u64,
@@ -22,7 +22,7 @@ pub struct VerifySummary {
 }
 
 /// What a member's rows are like.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct MemberSummary {
     /// Its name.
     pub name: String,
