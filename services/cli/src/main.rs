@@ -1,2 +1,32 @@
-//! To come.
-fn main() {}
+//! `evpr`: onboard visual place recognition for event cameras.
+
+mod args;
+mod catalog;
+mod commands;
+mod failure;
+mod frames_npy;
+mod matches;
+mod progress;
+
+use clap::Parser;
+use std::io::IsTerminal;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+/// Says what is logged, as in `EVPR_LOG=debug`.
+const LOG_VARIABLE: &str = "EVPR_LOG";
+const DEFAULT_LOG: &str = "info,iceoryx2=error,iceoryx2_log=off";
+/// With `--quiet`: what is degraded or wrong.
+const QUIET_LOG: &str = "warn,iceoryx2=error,iceoryx2_log=off";
+
+fn main() -> ExitCode {
+    let args = args::Args::parse();
+    let default = if args.quiet() { QUIET_LOG } else { DEFAULT_LOG };
+    let filter = EnvFilter::try_from_env(LOG_VARIABLE).unwrap_or_else(|_| EnvFilter::new(default));
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
+    log.with_ansi(std::io::stderr().is_terminal()).init();
+    match commands::dispatch(args.command) {
+        Ok(code) => code,
+        Err(failure) => failure.report(),
+    }
+}

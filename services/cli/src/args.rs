@@ -1,0 +1,302 @@
+//! The command line.
+
+use clap::{Parser, Subcommand, ValueEnum};
+use evpr_core::config::{parse_origin, parse_pace};
+use evpr_core::plan::{Origin, Pace};
+use evpr_core::time::parse_duration_ns;
+use std::path::PathBuf;
+
+/// Onboard visual place recognition for event cameras.
+#[derive(Debug, Parser)]
+#[command(name = "evpr", version, about, max_term_width = 100, arg_required_else_help = true)]
+pub(crate) struct Args {
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+impl Args {
+    /// Whether only what is wrong shall be said.
+    pub(crate) fn quiet(&self) -> bool {
+        match &self.command {
+            Command::Run(args) => args.graph.quiet,
+            Command::Map(MapCommand::Build(args)) => args.graph.quiet,
+            _ => false,
+        }
+    }
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Start the graph: events in, place matches out, one JSON line per tick
+    Run(RunArgs),
+    /// Reference maps: build, look at, check, repair
+    #[command(subcommand)]
+    Map(MapCommand),
+    /// Recordings: look at them, turn them into frames
+    #[command(subcommand)]
+    Events(EventsCommand),
+    /// Members of a running instance: list them, switch them, weigh them
+    #[command(subcommand)]
+    Member(MemberCommand),
+    /// The sequence matcher alone: a similarity matrix in, matched scores out
+    SequenceMatch(SequenceMatchArgs),
+    /// Check a configuration; prints all mistakes at once
+    Validate(ConfigArgs),
+    /// Show the plan of a configuration: processes, channels, bytes
+    Graph(GraphArgs),
+    /// One process of a running graph; started by `evpr run`
+    #[command(hide = true)]
+    Service(ServiceArgs),
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct ConfigArgs {
+    /// The configuration (TOML)
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) config: PathBuf,
+}
+
+/// How processes hand data on.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum DeliveryArg {
+    /// Every stage waits for the next
+    Lossless,
+    /// The newest data wins; answers at the deadline
+    Latest,
+}
+
+/// What every command that starts the graph takes.
+#[derive(Debug, Parser)]
+pub(crate) struct GraphRunArgs {
+    #[command(flatten)]
+    pub(crate) config: ConfigArgs,
+    /// The recording, instead of the configuration's
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) input: Option<PathBuf>,
+    /// "unpaced", "realtime" or how many times as fast as recorded, instead of the configuration's
+    #[arg(long, value_name = "PACE", value_parser = parse_pace)]
+    pub(crate) pace: Option<Pace>,
+    /// Delivery, instead of the configuration's
+    #[arg(long, value_name = "DELIVERY")]
+    pub(crate) delivery: Option<DeliveryArg>,
+    /// Name of the instance, instead of the configuration's
+    #[arg(long, value_name = "NAME")]
+    pub(crate) name: Option<String>,
+    /// No progress bar and no summary
+    #[arg(short, long)]
+    pub(crate) quiet: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct RunArgs {
+    #[command(flatten)]
+    pub(crate) graph: GraphRunArgs,
+    /// The reference map to match against
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) map: Option<PathBuf>,
+    /// Where to write the matches (JSON lines); stdout when left out
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// Also record the rows of this run as a traverse
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) record: Option<PathBuf>,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum MapCommand {
+    /// Run the graph over a recording and keep its rows as a reference map
+    Build(MapBuildArgs),
+    /// Show what a map holds
+    Info(MapArgs),
+    /// Check every file of a map; exit code 1 when something is wrong
+    Verify(MapArgs),
+    /// Close an unfinished recording, keeping every committed tick
+    Repair(MapArgs),
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct MapBuildArgs {
+    #[command(flatten)]
+    pub(crate) graph: GraphRunArgs,
+    /// The map to write (a folder that does not exist yet)
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct MapArgs {
+    /// The map's folder
+    #[arg(value_name = "DIR")]
+    pub(crate) path: PathBuf,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum EventsCommand {
+    /// Format, sensor, counts, rates and oddities of a recording
+    Info(EventsInfoArgs),
+    /// Frames of a recording as a NumPy array
+    Reconstruct(ReconstructArgs),
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct EventsInfoArgs {
+    /// The recording
+    #[arg(value_name = "IN")]
+    pub(crate) input: PathBuf,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+fn duration(text: &str) -> Result<u64, String> {
+    parse_duration_ns(text)
+}
+
+/// Where in its tick a window lies.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum AlignArg {
+    /// At the start
+    Start,
+    /// At the end
+    End,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct ReconstructArgs {
+    /// The recording
+    #[arg(value_name = "IN")]
+    pub(crate) input: PathBuf,
+    /// event_count, event_count_no_polarity or time_surface
+    #[arg(short, long, value_name = "METHOD")]
+    pub(crate) method: String,
+    /// Length of the window, such as 250ms
+    #[arg(short, long, value_name = "DURATION", value_parser = duration)]
+    pub(crate) window: u64,
+    /// Period of the ticks, such as 1s
+    #[arg(short, long, value_name = "DURATION", value_parser = duration)]
+    pub(crate) tick: u64,
+    /// Where in its tick the window lies
+    #[arg(long, default_value = "start")]
+    pub(crate) align: AlignArg,
+    /// Start of tick 0: "first_event", "grid:100ms" or sensor time in ns
+    #[arg(long, value_name = "ORIGIN", default_value = "first_event", value_parser = parse_origin)]
+    pub(crate) origin: Origin,
+    /// A parameter of the method, such as tau=50ms; may be repeated
+    #[arg(short, long, value_name = "NAME=VALUE")]
+    pub(crate) param: Vec<String>,
+    /// Sensor size, such as 260x346 (height x width), where the recording does not tell
+    #[arg(long, value_name = "HxW")]
+    pub(crate) sensor: Option<String>,
+    /// The array to write: (ticks, height, width) or (ticks, height, width, 3), u8; empty windows are all 0
+    #[arg(short, long, value_name = "F.npy")]
+    pub(crate) out: PathBuf,
+}
+
+/// A sequence method.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum SequenceMethodArg {
+    /// Z-scored on both axes, summed along the diagonal
+    Paper,
+    /// The similarity itself
+    None,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct SequenceMatchArgs {
+    /// Similarity matrix, queries × references, f64 or f32
+    #[arg(short, long, value_name = "S.npy")]
+    pub(crate) similarity: PathBuf,
+    /// Sequence length in ticks
+    #[arg(short, long, value_name = "L")]
+    pub(crate) length: usize,
+    /// The method
+    #[arg(short, long, default_value = "paper")]
+    pub(crate) method: SequenceMethodArg,
+    /// The array to write, queries × references, f64
+    #[arg(short, long, value_name = "T.npy")]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct InstanceArgs {
+    /// Name of the running instance
+    #[arg(long, value_name = "NAME", default_value = "evpr")]
+    pub(crate) name: String,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum MemberCommand {
+    /// Show the members with their settings
+    List(InstanceArgs),
+    /// Switch members on, from the next tick
+    Enable(MemberSetArgs),
+    /// Switch members off, from the next tick
+    Disable(MemberSetArgs),
+    /// Set the weight of members, from the next tick
+    Weight(MemberWeightArgs),
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct MemberSetArgs {
+    #[command(flatten)]
+    pub(crate) instance: InstanceArgs,
+    /// Members such as event_count@250ms/patch_norm, or "all"
+    #[arg(value_name = "MEMBER", required = true)]
+    pub(crate) members: Vec<String>,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct MemberWeightArgs {
+    #[command(flatten)]
+    pub(crate) instance: InstanceArgs,
+    /// The weight: 0 or more
+    #[arg(value_name = "WEIGHT", allow_negative_numbers = true)]
+    pub(crate) weight: f64,
+    /// Members such as event_count@250ms/patch_norm, or "all"
+    #[arg(value_name = "MEMBER", required = true)]
+    pub(crate) members: Vec<String>,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct GraphArgs {
+    #[command(flatten)]
+    pub(crate) config: ConfigArgs,
+    /// The recording, instead of the configuration's
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) input: Option<PathBuf>,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct ServiceArgs {
+    /// The run folder of the instance
+    #[arg(long, value_name = "DIR")]
+    pub(crate) run_folder: PathBuf,
+    /// Index of the service in the plan
+    #[arg(long)]
+    pub(crate) service: usize,
+    /// How often it has been started
+    #[arg(long)]
+    pub(crate) incarnation: u32,
+    /// How often ingest has been started
+    #[arg(long)]
+    pub(crate) epoch: u32,
+    /// The tick to begin with
+    #[arg(long)]
+    pub(crate) first_tick: u64,
+    /// The first tick to answer
+    #[arg(long)]
+    pub(crate) answer_from: u64,
+    /// What the service is, for a person who looks at the process list
+    #[arg(value_name = "KIND")]
+    pub(crate) kind: String,
+}

@@ -1,0 +1,112 @@
+//! `evpr validate` and `evpr graph`.
+
+use crate::args::{ConfigArgs, GraphArgs};
+use crate::catalog;
+use crate::failure::Failure;
+use evpr_core::Plan;
+use evpr_core::config::Overrides;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// `evpr validate`.
+pub(crate) fn validate(args: &ConfigArgs) -> Result<ExitCode, Failure> {
+    let config = catalog::load(&args.config)?;
+    println!("{}: ok, {} members", args.config.display(), config.members().len());
+    Ok(ExitCode::SUCCESS)
+}
+
+#[derive(Debug, Serialize)]
+struct ChannelRow {
+    channel: String,
+    publishers: usize,
+    subscribers: usize,
+    buffer: usize,
+    message_bytes: usize,
+    reserved_bytes: usize,
+    delivery: &'static str,
+}
+
+#[derive(Debug, Serialize)]
+struct GraphReport {
+    sensor: evpr_core::plan::Sensor,
+    tick: String,
+    windows: Vec<String>,
+    processes: Vec<String>,
+    members: Vec<String>,
+    channels: Vec<ChannelRow>,
+    shared_memory_bytes: u64,
+    shared_memory_free_bytes: u64,
+}
+
+fn report(plan: &Plan) -> Result<GraphReport, Failure> {
+    let room = evpr_runtime::room(plan)?;
+    let channels = plan.channels().into_iter().map(|c| ChannelRow {
+        channel: c.topic.to_string(),
+        publishers: c.publishers,
+        subscribers: c.max_subscribers,
+        buffer: c.buffer,
+        message_bytes: c.max_items * c.item_bytes + c.header_bytes,
+        reserved_bytes: c.bytes(),
+        delivery: if c.waits { "waits" } else { "newest wins" },
+    });
+    Ok(GraphReport {
+        sensor: plan.sensor,
+        tick: plan.slicing.tick_id(),
+        windows: (0..plan.slicing.windows.len()).map(|w| plan.slicing.window_id(w)).collect(),
+        processes: plan.services().into_iter().map(|s| s.name).collect(),
+        members: plan.members.iter().map(|m| m.name.clone()).collect(),
+        channels: channels.collect(),
+        shared_memory_bytes: room.needed,
+        shared_memory_free_bytes: room.free,
+    })
+}
+
+/// `evpr graph`.
+pub(crate) fn graph(args: &GraphArgs) -> Result<ExitCode, Failure> {
+    // A graph with everything: a fuser and a recorder, whatever they will read and write.
+    let overrides = Overrides {
+        input: args.input.clone(),
+        map: Some(PathBuf::from("map")),
+        record: Some(PathBuf::from("record")),
+        ..Overrides::default()
+    };
+    let plan = catalog::plan(&args.config.config, &overrides)?;
+    let report = report(&plan)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+    println!("sensor     {}", report.sensor);
+    println!("tick       {}, windows {}", report.tick, report.windows.join(" "));
+    println!("processes  {}", report.processes.join("  "));
+    println!("members    {}", report.members.len());
+    for member in &report.members {
+        println!("  {member}");
+    }
+    println!();
+    let width = report.channels.iter().map(|c| c.channel.len()).max().unwrap_or(7);
+    println!(
+        "{:<width$}  {:>4}  {:>4}  {:>6}  {:>13}  {:>12}  delivery",
+        "channel", "pubs", "subs", "buffer", "message bytes", "reserved MiB"
+    );
+    for c in &report.channels {
+        println!(
+            "{:<width$}  {:>4}  {:>4}  {:>6}  {:>13}  {:>12.2}  {}",
+            c.channel,
+            c.publishers,
+            c.subscribers,
+            c.buffer,
+            c.message_bytes,
+            mib(c.reserved_bytes as u64),
+            c.delivery
+        );
+    }
+    println!(
+        "\nshared memory: {:.1} MiB needed at most, {:.1} MiB free in /dev/shm",
+        mib(report.shared_memory_bytes),
+        mib(report.shared_memory_free_bytes)
+    );
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,81 @@
+//! `evpr map`: reference traverses.
+
+use super::run::{overrides, supervise};
+use crate::args::{MapArgs, MapBuildArgs, MapCommand};
+use crate::catalog;
+use crate::failure::Failure;
+use evpr_store::Traverse;
+use std::process::ExitCode;
+
+/// `evpr map …`.
+pub(crate) fn map(command: MapCommand) -> Result<ExitCode, Failure> {
+    match command {
+        MapCommand::Build(args) => build(&args),
+        MapCommand::Info(args) => info(&args),
+        MapCommand::Verify(args) => verify(&args),
+        MapCommand::Repair(args) => repair(&args),
+    }
+}
+
+fn build(args: &MapBuildArgs) -> Result<ExitCode, Failure> {
+    if args.out.exists() {
+        return Err(Failure::new(format!(
+            "{} exists already; choose another name or remove it",
+            args.out.display()
+        )));
+    }
+    let plan = catalog::plan(&args.graph.config.config, &overrides(&args.graph, &None, &Some(args.out.clone())))?;
+    let code = supervise(plan, None, args.graph.quiet, "mapping")?;
+    let map = Traverse::open(&args.out)?;
+    if !args.graph.quiet {
+        eprintln!("{}: {} ticks, {} members", args.out.display(), map.len(), map.manifest().members.len());
+    }
+    Ok(code)
+}
+
+fn info(args: &MapArgs) -> Result<ExitCode, Failure> {
+    let map = Traverse::open(&args.path)?;
+    let manifest = map.manifest();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(manifest)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let positions = map.ticks().iter().filter(|t| t.position.is_some()).count();
+    println!("sensor     {}", manifest.sensor);
+    println!("tick       {}, align {}", manifest.slicing.tick_id(), manifest.slicing.align.name());
+    println!("source     {}", manifest.source);
+    println!("ticks      {}, {positions} with a position", map.len());
+    if let (Some(first), Some(last)) = (map.ticks().first(), map.ticks().last()) {
+        println!("time       {} µs to {} µs ({:.1} s)", first.start_us, last.end_us, (last.end_us - first.start_us) as f64 / 1e6);
+    }
+    let width = manifest.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
+    println!("\n{:<width$}  {:>6}  {:>9}", "member", "dim", "with row");
+    for m in &manifest.members {
+        println!("{:<width$}  {:>6}  {:>9}", m.name, m.dim, m.present);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn verify(args: &MapArgs) -> Result<ExitCode, Failure> {
+    let summary = evpr_store::verify(&args.path)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    } else if summary.problems.is_empty() {
+        println!("{}: ok, {} ticks", args.path.display(), summary.ticks);
+    }
+    if summary.problems.is_empty() {
+        return Ok(ExitCode::SUCCESS);
+    }
+    let lines: Vec<String> = summary.problems.iter().map(|p| format!("{}: {p}", args.path.display())).collect();
+    Err(Failure::new(lines.join("\n")))
+}
+
+fn repair(args: &MapArgs) -> Result<ExitCode, Failure> {
+    let summary = evpr_store::repair(&args.path)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    } else {
+        println!("{}: closed with {} ticks", summary.path.display(), summary.ticks);
+    }
+    Ok(ExitCode::SUCCESS)
+}

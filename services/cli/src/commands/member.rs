@@ -1,0 +1,41 @@
+//! `evpr member`: the ensemble of a running instance.
+
+use crate::args::{InstanceArgs, MemberCommand};
+use crate::failure::Failure;
+use evpr_runtime::{ControlRequest, RunFolder};
+use std::process::ExitCode;
+
+/// `evpr member …`.
+pub(crate) fn member(command: MemberCommand) -> Result<ExitCode, Failure> {
+    let set = |members, enabled, weight| ControlRequest::Set { members, enabled, weight };
+    let (instance, request) = match command {
+        MemberCommand::List(instance) => (instance, ControlRequest::List),
+        MemberCommand::Enable(args) => (args.instance, set(args.members, Some(true), None)),
+        MemberCommand::Disable(args) => (args.instance, set(args.members, Some(false), None)),
+        MemberCommand::Weight(args) => (args.instance, set(args.members, None, Some(args.weight))),
+    };
+    ask(&instance, &request)
+}
+
+fn ask(instance: &InstanceArgs, request: &ControlRequest) -> Result<ExitCode, Failure> {
+    let reply = evpr_runtime::request(&RunFolder::of_instance(&instance.name), request)?;
+    if let Some(error) = reply.error {
+        return Err(Failure::new(error));
+    }
+    if instance.json {
+        println!("{}", serde_json::to_string(&reply)?);
+        return Ok(ExitCode::SUCCESS);
+    }
+    match (request, reply.from_tick) {
+        (ControlRequest::List, _) => {
+            let width = reply.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
+            println!("{:<width$}  {:<8}  weight", "member", "state");
+            for m in &reply.members {
+                println!("{:<width$}  {:<8}  {}", m.name, if m.enabled { "enabled" } else { "disabled" }, m.weight);
+            }
+        }
+        (ControlRequest::Set { .. }, Some(tick)) => println!("in force from tick {tick} on"),
+        (ControlRequest::Set { .. }, None) => println!("accepted; in force from the next tick on"),
+    }
+    Ok(ExitCode::SUCCESS)
+}

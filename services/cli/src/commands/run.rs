@@ -1,0 +1,153 @@
+//! `evpr run`, and what it shares with `evpr map build`.
+
+use crate::args::{DeliveryArg, GraphRunArgs, RunArgs};
+use crate::catalog;
+use crate::failure::Failure;
+use crate::matches::MatchWriter;
+use crate::progress;
+use crate::{LOG_VARIABLE, QUIET_LOG};
+use evpr_core::Plan;
+use evpr_core::config::Overrides;
+use evpr_core::message::{Candidate, MatchHeader};
+use evpr_core::plan::{Delivery, Service};
+use evpr_runtime::{Hooks, Outcome, Progress, RunFolder, RunSummary, Spawn, Supervisor};
+use indicatif::ProgressBar;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+
+/// Ctrl-C.
+const EXIT_INTERRUPTED: u8 = 130;
+
+/// `evpr run`.
+pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
+    if args.map.is_none() && args.record.is_none() {
+        return Err(Failure::usage(
+            "there is nothing to do: give --map DIR to match against a map, or --record DIR to record rows (a map is \
+             built by `evpr map build`)",
+        ));
+    }
+    let plan = catalog::plan(&args.graph.config.config, &overrides(&args.graph, &args.map, &args.record))?;
+    if let Some(map) = &plan.map {
+        // The fuser checks again; here a wrong map is refused before anything is started.
+        evpr_store::Traverse::open(map)?.check_against(&plan)?;
+    }
+    let writer = match &plan.map {
+        Some(_) => Some(MatchWriter::create(args.out.as_deref()).map_err(Failure::new)?),
+        None => None,
+    };
+    supervise(plan, writer, args.graph.quiet, "matching")
+}
+
+/// The command line's part of the plan.
+pub(crate) fn overrides(
+    args: &GraphRunArgs,
+    map: &Option<PathBuf>,
+    record: &Option<PathBuf>,
+) -> Overrides {
+    Overrides {
+        name: args.name.clone(),
+        input: args.input.clone(),
+        pace: args.pace,
+        delivery: args.delivery.map(|d| match d {
+            DeliveryArg::Lossless => Delivery::Lossless,
+            DeliveryArg::Latest => Delivery::Latest,
+        }),
+        map: map.clone(),
+        record: record.clone(),
+    }
+}
+
+struct CliHooks {
+    plan: Plan,
+    writer: Option<MatchWriter>,
+    bar: ProgressBar,
+}
+
+impl Hooks for CliHooks {
+    fn answer(&mut self, header: &MatchHeader, candidates: &[Candidate]) -> Result<(), String> {
+        match &mut self.writer {
+            Some(writer) => writer.write(&self.plan, header, candidates),
+            None => Ok(()),
+        }
+    }
+
+    fn progress(&mut self, progress: &Progress) {
+        progress::show(&self.bar, progress);
+    }
+}
+
+/// Runs a plan to its end.
+pub(crate) fn supervise(
+    plan: Plan,
+    writer: Option<MatchWriter>,
+    quiet: bool,
+    what: &str,
+) -> Result<ExitCode, Failure> {
+    let folder = RunFolder::of_instance(&plan.name);
+    let executable = std::env::current_exe()?;
+    let run_folder = folder.path().to_owned();
+    let command = move |service: &Service, spawn: &Spawn| {
+        let mut command = service_command(&executable, &run_folder, service, spawn);
+        if quiet && std::env::var_os(LOG_VARIABLE).is_none() {
+            command.env(LOG_VARIABLE, QUIET_LOG);
+        }
+        command
+    };
+    let supervisor = Supervisor::new(plan.clone(), folder, Box::new(command))?;
+    let mut hooks = CliHooks { plan, writer, bar: progress::bar(quiet, what) };
+    let summary = supervisor.run(&mut hooks);
+    hooks.bar.finish_and_clear();
+    let summary = summary?;
+    if !quiet {
+        summarise(&summary);
+    }
+    match summary.outcome {
+        Outcome::Finished | Outcome::Stopped => Ok(ExitCode::SUCCESS),
+        Outcome::Interrupted => Ok(ExitCode::from(EXIT_INTERRUPTED)),
+        Outcome::Failed => Err(Failure::said_already()),
+    }
+}
+
+fn service_command(executable: &Path, run_folder: &Path, service: &Service, spawn: &Spawn) -> Command {
+    let mut command = Command::new(executable);
+    command.arg("service").arg(service.kind.name()).arg("--run-folder").arg(run_folder);
+    for (name, value) in [
+        ("--service", spawn.service.to_string()),
+        ("--incarnation", spawn.incarnation.to_string()),
+        ("--epoch", spawn.epoch.to_string()),
+        ("--first-tick", spawn.first_tick.to_string()),
+        ("--answer-from", spawn.answer_from.to_string()),
+    ] {
+        command.args([name, &value]);
+    }
+    // A process group of its own: Ctrl-C reaches the supervisor alone, which ends the graph upstream first.
+    command.stdin(Stdio::null()).stdout(Stdio::null()).process_group(0);
+    command
+}
+
+fn summarise(summary: &RunSummary) {
+    let width = summary.services.iter().map(|s| s.name.len()).max().unwrap_or(0);
+    let ms = |ns: u64| ns as f64 / 1e6;
+    eprintln!(
+        "{:<width$}  {:>9}  {:>9}  {:>7}  {:>7}  {:>13}  {:>13}  {:>8}",
+        "process", "received", "emitted", "skipped", "dropped", "p50 ms", "p99 ms", "restarts"
+    );
+    for s in &summary.services {
+        let (stats, took) = (&s.stats, &s.stats.processing);
+        eprintln!(
+            "{:<width$}  {:>9}  {:>9}  {:>7}  {:>7}  {:>13.3}  {:>13.3}  {:>8}",
+            s.name,
+            stats.received,
+            stats.emitted,
+            stats.skipped,
+            stats.dropped,
+            ms(took.quantile_ns(0.5)),
+            ms(took.quantile_ns(0.99)),
+            s.restarts
+        );
+    }
+    if summary.answers > 0 {
+        eprintln!("{} ticks answered", summary.answers);
+    }
+}

@@ -1,0 +1,47 @@
+//! `evpr service`: one process of a running graph.
+
+use crate::args::ServiceArgs;
+use crate::failure::Failure;
+use evpr_core::plan::{ServiceKind, Topic};
+use evpr_runtime::{RunFolder, ServiceContext, run_ingest, run_sink, run_stage};
+use std::process::ExitCode;
+
+/// Joins the run and works until it is told to stop.
+pub(crate) fn service(args: &ServiceArgs) -> Result<ExitCode, Failure> {
+    let ctx = ServiceContext::join(RunFolder::at(&args.run_folder), args.service, args.incarnation)?;
+    work(ctx, args)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
+    let plan = ctx.plan.clone();
+    let index = ctx.service.index;
+    match ctx.service.kind {
+        ServiceKind::Ingest => {
+            let ingest = evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
+            run_ingest(ctx, |port| ingest.run(port).map(|_| ()))?;
+        }
+        ServiceKind::Reconstruct => {
+            let mut stage = evpr_reconstruct::build(&plan, index)?;
+            let output = Topic::Frames(plan.reconstructions[index].id.clone());
+            run_stage(ctx, &[Topic::Events], &output, &mut stage)?;
+        }
+        ServiceKind::Extract => {
+            let mut stage = evpr_extract::build(&plan, index)?;
+            let inputs: Vec<_> = plan.reconstructions.iter().map(|r| Topic::Frames(r.id.clone())).collect();
+            let output = Topic::Descriptors(plan.extractors[index].id.clone());
+            run_stage(ctx, &inputs, &output, &mut stage)?;
+        }
+        ServiceKind::Fuse => {
+            let map = evpr_fuse::Map::open(&plan)?;
+            let clock = Box::new(evpr_runtime::now_ns);
+            let mut fuser = evpr_fuse::Fuser::new(&plan, map, args.first_tick, args.answer_from, clock)?;
+            run_sink(ctx, &mut fuser, true)?;
+        }
+        ServiceKind::Record => {
+            let mut recorder = evpr_record::Recorder::new(&plan, args.incarnation > 1)?;
+            run_sink(ctx, &mut recorder, false)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,43 @@
+//! How a command fails: one line per mistake on stderr, and the exit code.
+
+use std::fmt::Display;
+use std::process::ExitCode;
+
+/// Why a command failed.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    lines: Vec<String>,
+    code: u8,
+}
+
+impl Failure {
+    /// The input, the machine or the run: exit code 1.
+    pub(crate) fn new(line: impl Display) -> Self {
+        Self { lines: vec![line.to_string()], code: 1 }
+    }
+
+    /// What was asked for makes no sense: exit code 2.
+    pub(crate) fn usage(line: impl Display) -> Self {
+        Self { lines: vec![line.to_string()], code: 2 }
+    }
+
+    /// Somebody else has said why already: exit code 1.
+    pub(crate) fn said_already() -> Self {
+        Self { lines: Vec::new(), code: 1 }
+    }
+
+    /// Prints the lines and gives the exit code.
+    pub(crate) fn report(self) -> ExitCode {
+        for line in self.lines.iter().flat_map(|text| text.lines()) {
+            eprintln!("error: {line}");
+        }
+        ExitCode::from(self.code)
+    }
+}
+
+/// Any error of a library becomes its own line.
+impl<E: std::error::Error> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self::new(error)
+    }
+}

@@ -1,0 +1,118 @@
+//! Answers as JSON lines.
+
+use evpr_core::message::{Candidate, MatchHeader};
+use evpr_core::{Plan, Reason};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+
+/// One line of the matches.
+#[derive(Debug, Serialize)]
+struct MatchLine<'p> {
+    tick: u64,
+    start_us: u64,
+    end_us: u64,
+    /// The map's tick, or null.
+    reference: Option<u64>,
+    /// Why there is no reference.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<&'static str>,
+    /// East and north of the reference, metres, where the map has positions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    position: Option<[f64; 2]>,
+    score: Option<f64>,
+    confidence: Option<f64>,
+    top: Vec<Place>,
+    /// Members whose rows were used.
+    members: Vec<&'p str>,
+    /// Enabled members without a row, and why.
+    missing: BTreeMap<&'p str, &'static str>,
+    latency_us: Latency,
+}
+
+#[derive(Debug, Serialize)]
+struct Place {
+    reference: u32,
+    score: f64,
+}
+
+/// From the closing of the last window; null where it is not known.
+#[derive(Debug, Serialize)]
+struct Latency {
+    reconstruct: Option<f64>,
+    extract: Option<f64>,
+    fuse: Option<f64>,
+    total: Option<f64>,
+}
+
+fn us(ns: u64) -> Option<f64> {
+    (ns > 0).then(|| ns as f64 / 1_000.0)
+}
+
+fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> MatchLine<'p> {
+    let mut members = Vec::new();
+    let mut missing = BTreeMap::new();
+    for (member, end) in plan.members.iter().zip(header.ends) {
+        match (end, Reason::from_code(u32::from(end))) {
+            (1, _) => members.push(member.name.as_str()),
+            (_, Some(reason)) => {
+                missing.insert(member.name.as_str(), reason.text());
+            }
+            _ => {}
+        }
+    }
+    let reference = u64::try_from(header.reference).ok();
+    MatchLine {
+        tick: header.tick,
+        start_us: header.start_us,
+        end_us: header.end_us,
+        reference,
+        reason: Reason::from_code(header.reason).map(Reason::text),
+        position: header.east_m.is_finite().then_some([header.east_m, header.north_m]),
+        score: reference.map(|_| header.score),
+        confidence: reference.map(|_| header.confidence),
+        top: candidates.iter().map(|c| Place { reference: c.reference, score: c.score }).collect(),
+        members,
+        missing,
+        latency_us: Latency {
+            reconstruct: us(header.reconstruct_ns),
+            extract: us(header.extract_ns),
+            fuse: us(header.fuse_ns),
+            total: us(header.total_ns),
+        },
+    }
+}
+
+/// Writes matches to a file or to stdout.
+pub(crate) struct MatchWriter {
+    name: String,
+    sink: Box<dyn Write>,
+}
+
+impl MatchWriter {
+    /// A new file, or stdout.
+    pub(crate) fn create(path: Option<&Path>) -> Result<Self, String> {
+        match path {
+            None => Ok(Self { name: "stdout".to_owned(), sink: Box::new(io::stdout()) }),
+            Some(path) => {
+                let file = File::create(path).map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+                Ok(Self { name: path.display().to_string(), sink: Box::new(BufWriter::new(file)) })
+            }
+        }
+    }
+
+    /// Writes one answer, out to the file: a reader that follows it sees whole lines.
+    pub(crate) fn write(
+        &mut self,
+        plan: &Plan,
+        header: &MatchHeader,
+        candidates: &[Candidate],
+    ) -> Result<(), String> {
+        let failed = |e: &dyn std::fmt::Display| format!("cannot write matches to {}: {e}", self.name);
+        let mut text = serde_json::to_string(&line(plan, header, candidates)).map_err(|e| failed(&e))?;
+        text.push('\n');
+        self.sink.write_all(text.as_bytes()).and_then(|()| self.sink.flush()).map_err(|e| failed(&e))
+    }
+}

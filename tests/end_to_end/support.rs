@@ -1,0 +1,288 @@
+//! What the end-to-end tests share: a private instance, a synthetic recording, and reading of answers.
+
+use serde_json::Value;
+use std::collections::HashMap;
+use std::fs;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+/// Nothing here takes nearly as long; a hang must end as a failure.
+const WATCHDOG: Duration = Duration::from_secs(120);
+
+/// Ticks of the synthetic recording.
+pub(crate) const TICKS: u64 = 300;
+/// Length of its ticks in ms of sensor time.
+pub(crate) const TICK_MS: u64 = 100;
+
+/// A folder for one test, with an instance of its own in it.
+pub(crate) struct Bench {
+    pub(crate) folder: tempfile::TempDir,
+    run_root: tempfile::TempDir,
+}
+
+/// What a finished command said.
+#[derive(Debug)]
+pub(crate) struct Said {
+    pub(crate) status: ExitStatus,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+impl Said {
+    pub(crate) fn code(&self) -> i32 {
+        self.status.code().unwrap_or(-1)
+    }
+
+    /// The lines that report errors.
+    pub(crate) fn errors(&self) -> Vec<&str> {
+        self.stderr.lines().filter(|l| l.starts_with("error: ")).collect()
+    }
+}
+
+impl Bench {
+    pub(crate) fn new() -> Self {
+        // Short, because socket paths are.
+        let run_root = tempfile::Builder::new().prefix("ev").rand_bytes(5).tempdir_in("/tmp").unwrap();
+        Self { folder: tempfile::tempdir().unwrap(), run_root }
+    }
+
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub(crate) fn file(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.path(name);
+        fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// The executable with this bench's run folder.
+    pub(crate) fn evpr(&self) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_evpr"));
+        command.env("EVPR_RUN_DIR", self.run_root.path()).current_dir(self.folder.path());
+        command
+    }
+
+    /// Runs a command to its end, under the watchdog.
+    pub(crate) fn run(&self, args: &[&str]) -> Said {
+        finish(self.evpr().args(args))
+    }
+
+    /// A configuration for the synthetic recording: three reconstructions, two windows, two extractors.
+    pub(crate) fn ensemble_config(&self) -> PathBuf {
+        self.file(
+            "ensemble.toml",
+            "[sensor]\nheight = 48\nwidth = 64\n[source]\non_outside_sensor = \"error\"\n\
+             [slicing]\ntick = \"100ms\"\nwindows = [\"50ms\", \"100ms\"]\norigin = 0\n\
+             [[reconstruction]]\nid = \"event_count\"\n[[reconstruction]]\nid = \"time_surface\"\n\
+             [[extractor]]\nid = \"patch_norm\"\n[[extractor]]\nid = \"raw_pixels\"\n\
+             [fuse]\nsequence = { method = \"paper\", length = 5 }\n[runtime]\ndeadline = \"300ms\"\n",
+        )
+    }
+
+    /// A synthetic recording: a pattern that moves on with each tick, seen with `noise`.
+    pub(crate) fn recording(&self, name: &str, ticks: u64, noise: u64) -> PathBuf {
+        let path = self.path(name);
+        let mut out = std::io::BufWriter::new(fs::File::create(&path).unwrap());
+        writeln!(out, "t x y p").unwrap();
+        let mut state = 0x9e37_79b9_7f4a_7c15u64.wrapping_mul(noise + 1);
+        let mut random = move |below: u64| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state % below
+        };
+        const PER_TICK: u64 = 250;
+        for tick in 0..=ticks {
+            for i in 0..PER_TICK {
+                let t_us = tick * TICK_MS * 1_000 + i * (TICK_MS * 1_000 / PER_TICK);
+                // Each tick has its own few bright spots.
+                let spot = tick * 7 + i % 5;
+                let (cx, cy) = ((spot * 37) % 60, (spot * 23) % 44);
+                let (x, y) = (cx + random(4), cy + random(4));
+                writeln!(out, "{}.{:06} {x} {y} {}", t_us / 1_000_000, t_us % 1_000_000, random(2)).unwrap();
+            }
+        }
+        out.flush().unwrap();
+        path
+    }
+
+    /// Maps the synthetic street once.
+    pub(crate) fn map(&self, config: &Path) -> PathBuf {
+        let recording = self.recording("reference.txt", TICKS, 1);
+        let map = self.path("map");
+        let said = self.run(&[
+            "map", "build", "-q", "-c", text(config), "-i", text(&recording), "-o", text(&map),
+        ]);
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        map
+    }
+
+    /// Names in /dev/shm that belong to this bench: all of the machine's that were not there before are not told
+    /// apart by name, so the run folder's own prefix is asked for.
+    pub(crate) fn left_behind(&self) -> Vec<String> {
+        let mut left: Vec<String> = fs::read_dir(self.run_root.path())
+            .unwrap()
+            .flatten()
+            .map(|e| e.path().display().to_string())
+            .collect();
+        let prefix = shm_prefix(&self.run_root.path().join("evpr"));
+        let shared = fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
+        left.extend(shared.filter(|name| name.starts_with(&prefix)));
+        left
+    }
+}
+
+/// The prefix of an instance's names in shared memory (FNV-1a of its run folder).
+fn shm_prefix(run_folder: &Path) -> String {
+    let hash = run_folder.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325u64, |h, b| {
+        (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)
+    });
+    format!("evpr{:010x}_", hash & 0xff_ffff_ffff)
+}
+
+pub(crate) fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+/// Kills a process unless it is told that all is well in time.
+pub(crate) struct Watchdog {
+    _done: Sender<()>,
+}
+
+impl Watchdog {
+    pub(crate) fn over(pid: u32) -> Self {
+        let (done, wait) = channel::<()>();
+        std::thread::spawn(move || {
+            if wait.recv_timeout(WATCHDOG) == Err(RecvTimeoutError::Timeout) {
+                eprintln!("watchdog: process {pid} took longer than {WATCHDOG:?} and is killed");
+                let _ = nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid as i32), nix::sys::signal::SIGKILL);
+            }
+        });
+        Self { _done: done }
+    }
+}
+
+/// Runs a command to its end under the watchdog.
+pub(crate) fn finish(command: &mut Command) -> Said {
+    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let _watchdog = Watchdog::over(child.id());
+    let output = child.wait_with_output().unwrap();
+    Said {
+        status: output.status,
+        stdout: String::from_utf8_lossy(&output.stdout).into_owned(),
+        stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
+    }
+}
+
+/// A running graph whose answers are read as they come.
+pub(crate) struct Running {
+    child: Child,
+    lines: BufReader<ChildStdout>,
+    stderr: std::thread::JoinHandle<String>,
+    pub(crate) answers: Vec<Value>,
+    _watchdog: Watchdog,
+}
+
+impl Running {
+    pub(crate) fn start(bench: &Bench, args: &[&str]) -> Self {
+        let mut child = bench
+            .evpr()
+            .args(args)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap());
+        let mut errors = child.stderr.take().unwrap();
+        let stderr = std::thread::spawn(move || {
+            let mut text = String::new();
+            let _ = errors.read_to_string(&mut text);
+            text
+        });
+        let _watchdog = Watchdog::over(child.id());
+        Self { child, lines, stderr, answers: Vec::new(), _watchdog }
+    }
+
+    pub(crate) fn pid(&self) -> i32 {
+        self.child.id() as i32
+    }
+
+    /// Reads answers up to and including this tick; false when the run ended before.
+    pub(crate) fn read_to(&mut self, tick: u64) -> bool {
+        while self.answers.last().is_none_or(|a| a["tick"].as_u64().unwrap() < tick) {
+            let mut line = String::new();
+            if self.lines.read_line(&mut line).unwrap() == 0 {
+                return false;
+            }
+            self.answers.push(serde_json::from_str(&line).unwrap());
+        }
+        true
+    }
+
+    /// Process ids of the services whose command line has this kind.
+    pub(crate) fn services(&self, kind: &str) -> Vec<i32> {
+        let children = fs::read_to_string(format!("/proc/{0}/task/{0}/children", self.pid())).unwrap();
+        let of_kind = |pid: &i32| {
+            let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            let words: Vec<_> = line.split(|b| *b == 0).collect();
+            words.get(1) == Some(&&b"service"[..]) && words.get(2) == Some(&kind.as_bytes())
+        };
+        children.split_whitespace().map(|pid| pid.parse().unwrap()).filter(of_kind).collect()
+    }
+
+    pub(crate) fn signal(pid: i32, signal: nix::sys::signal::Signal) {
+        nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid), signal).unwrap();
+    }
+
+    /// Reads to the end.
+    pub(crate) fn finish(mut self) -> (Vec<Value>, Said) {
+        self.read_to(u64::MAX);
+        let status = self.child.wait().unwrap();
+        let stderr = self.stderr.join().unwrap();
+        (self.answers, Said { status, stdout: String::new(), stderr })
+    }
+}
+
+/// Reads a file of answers.
+pub(crate) fn read_answers(path: &Path) -> Vec<Value> {
+    fs::read_to_string(path).unwrap().lines().map(|l| serde_json::from_str(l).unwrap()).collect()
+}
+
+/// Every tick once and in order.
+pub(crate) fn assert_ticks(answers: &[Value], ticks: u64) {
+    let got: Vec<u64> = answers.iter().map(|a| a["tick"].as_u64().unwrap()).collect();
+    assert_eq!(got, (0..ticks).collect::<Vec<_>>());
+}
+
+/// An answer without its times.
+pub(crate) fn timeless(answer: &Value) -> Value {
+    let mut answer = answer.clone();
+    answer.as_object_mut().unwrap().remove("latency_us");
+    answer
+}
+
+/// How many answers give each reason for a missing member.
+pub(crate) fn reasons(answers: &[Value]) -> HashMap<String, usize> {
+    let mut counts = HashMap::new();
+    for answer in answers {
+        for reason in answer["missing"].as_object().unwrap().values() {
+            *counts.entry(reason.as_str().unwrap().to_owned()).or_default() += 1;
+        }
+    }
+    counts
+}
+
+/// The folder with real data beside the project, or None with a note that names the test.
+pub(crate) fn shared_data(test: &str, file: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(file);
+    if path.exists() {
+        return Some(path);
+    }
+    println!("skipped: {test}: {} is absent", path.display());
+    None
+}
