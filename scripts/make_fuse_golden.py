@@ -37,10 +37,12 @@ def similarity_case(rng, queries, references, dim):
 
 
 def sequence_case(rng, ticks, references):
-    """Similarities with one constant column in three and one that changes by less than the threshold of 1e-4."""
+    """Similarities with one constant column in three and
+    some that change by less and a little more than the threshold of 1e-4."""
     s = -np.abs(rng.normal(size=(ticks, references)))
     s[:, 1::3] = s[0, 1::3]
-    s[:, 5::8] = s[0, 5::8] + 1e-5 * rng.normal(size=s[:, 5::8].shape)
+    for first, spread in ((5, 1e-5), (6, 3e-4)):
+        s[:, first::8] = s[0, first::8] + spread * rng.normal(size=s[:, first::8].shape)
     return s
 
 

@@ -146,24 +146,38 @@ fn sum_f64(query: &[f32], row: &[f32], f: impl Fn(f64, f64) -> f64) -> f64 {
 }
 
 /// (Σ q·r, Σ r²) with products in f64: f32 products would lose a small cosine.
+///
 fn dot_and_square(query: &[f32], row: &[f32]) -> (f64, f64) {
-    const LANES: usize = 8;
-    let (q_lanes, q_rest) = query.as_chunks::<LANES>();
-    let (r_lanes, r_rest) = row.as_chunks::<LANES>();
-    let (mut dots, mut squares) = ([0.0f64; LANES], [0.0f64; LANES]);
-    for (q, r) in q_lanes.iter().zip(r_lanes) {
-        for k in 0..LANES {
-            let r = f64::from(r[k]);
-            dots[k] += f64::from(q[k]) * r;
-            squares[k] += r * r;
-        }
-    }
-    let (mut dot, mut square) = (dots.iter().sum::<f64>(), squares.iter().sum::<f64>());
+    let (q_lanes, q_rest) = query.as_chunks();
+    let (r_lanes, r_rest) = row.as_chunks();
+    let (dots, squares) = dot_and_square_lanes(q_lanes, r_lanes);
+    let (mut dot, mut square) = (add_lanes(dots), add_lanes(squares));
     for (q, r) in q_rest.iter().zip(r_rest) {
         dot += f64::from(*q) * f64::from(*r);
         square += f64::from(*r) * f64::from(*r);
     }
     (dot, square)
+}
+
+/// The two sums have a loop each over the lanes, and the function is not inlined: only so do they vectorise, which
+/// halves the time.
+#[inline(never)]
+fn dot_and_square_lanes(query: &[[f32; 8]], row: &[[f32; 8]]) -> ([f64; 8], [f64; 8]) {
+    let (mut dots, mut squares) = ([0.0; 8], [0.0; 8]);
+    for (q, r) in query.iter().zip(row) {
+        let (q, r) = (q.map(f64::from), r.map(f64::from));
+        for k in 0..8 {
+            dots[k] += q[k] * r[k];
+        }
+        for k in 0..8 {
+            squares[k] += r[k] * r[k];
+        }
+    }
+    (dots, squares)
+}
+
+fn add_lanes(r: [f64; 8]) -> f64 {
+    ((r[0] + r[1]) + (r[2] + r[3])) + ((r[4] + r[5]) + (r[6] + r[7]))
 }
 
 #[cfg(test)]

@@ -409,14 +409,13 @@ fn a_map_row_that_is_not_finite_is_fatal_and_named() {
     assert!(matches!(&error, StageError::Fatal(t) if t.contains("a@1ms/x0") && t.contains("reference 1")));
 }
 
+/// Who is on, weights, rows.
+type Tick = (MemberSet, Vec<f64>, Vec<Option<Vec<f32>>>);
+
 type Seen = Arc<Mutex<Vec<(u64, Vec<f64>)>>>;
 
 /// E of every tick.
-fn fused(
-    plan: &Plan,
-    map: &Map,
-    ticks: &[(MemberSet, Vec<f64>, Vec<Option<Vec<f32>>>)],
-) -> (Vec<(u64, Vec<f64>)>, Vec<i64>) {
+fn fused(plan: &Plan, map: &Map, ticks: &[Tick]) -> (Vec<(u64, Vec<f64>)>, Vec<i64>) {
     let mut fuser = fuser(plan, map.clone(), 0, 0);
     let seen = Seen::default();
     let sink = Arc::clone(&seen);
@@ -448,7 +447,7 @@ proptest! {
         let rows: Vec<Vec<Option<Vec<f32>>>> = (0..off.len())
             .map(|t| (0..3).map(|m| Some(noise(t * 3 + m, dims[m]))).collect())
             .collect();
-        let ticks = |make: &dyn Fn(usize) -> (MemberSet, Vec<f64>, Vec<Option<Vec<f32>>>)| -> Vec<_> {
+        let ticks = |make: &dyn Fn(usize) -> Tick| -> Vec<_> {
             (0..off.len()).map(make).collect()
         };
         let on = |t: usize| (0..3).filter(|m| !off[t][*m]).collect::<MemberSet>();
