@@ -5,6 +5,8 @@
 //! thread of its own, and paces the replay. [`info`] looks at a recording without cutting it.
 
 mod driver;
+#[cfg(test)]
+mod driver_tests;
 mod error;
 mod event;
 mod info;
@@ -12,6 +14,8 @@ mod pace;
 mod reader;
 mod screen;
 mod slicer;
+#[cfg(test)]
+mod slicer_tests;
 pub mod source;
 #[cfg(test)]
 mod testing;

@@ -74,10 +74,7 @@ impl Head {
     }
 
     fn is_text(&self) -> bool {
-        !self
-            .bytes
-            .iter()
-            .any(|b| *b < b' ' && !matches!(*b, b'\t' | b'\r' | b'\n'))
+        !self.bytes.contains(&0)
     }
 }
 
