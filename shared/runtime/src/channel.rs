@@ -26,7 +26,10 @@ type DataService<M> = publish_subscribe::PortFactory<Ipc, [<M as Message>::Item]
 pub(crate) type Received<M> = Sample<Ipc, [<M as Message>::Item], <M as Message>::Header>;
 
 const DATA: usize = 1;
-const ROOM: usize = 2;
+/// Event ids on the room event say which reader has just received: this plus its number.
+const FIRST_READER: usize = 16;
+/// The supervisor's number as a reader; services have their index in the plan.
+pub(crate) const SUPERVISOR_READER: u32 = 200;
 /// A blocked publisher looks at its stop flag this often, should a wake-up be lost with a dying subscriber.
 const BLOCKED_RECHECK: Duration = Duration::from_millis(50);
 /// Cache lines, and SIMD loads.
@@ -135,23 +138,21 @@ impl<M: Message> ChannelSender<M> {
             .allocation_strategy(AllocationStrategy::Static)
             .max_loaned_samples(slots)
             .backpressure_strategy(BackpressureStrategy::DiscardData);
-        let publisher = if channel.waits {
-            let room = services
-                .room
-                .listener_builder()
-                .create()
-                .map_err(|e| failed(&topic, "cannot listen for room", &e))?;
-            let flag = stop.clone();
-            builder.set_backpressure_handler(move |_| {
-                if flag.count() >= stop_at {
-                    return BackpressureAction::DiscardDataAndFail;
-                }
-                // A wait that fails leaves iceoryx2's own back-off between the retries.
-                let _ = room.timed_wait(|_| {}, BLOCKED_RECHECK);
-                BackpressureAction::Retry
-            })
-        } else {
-            builder
+        let room = channel.waits.then(|| services.room.listener_builder().create()).transpose();
+        let room = room.map_err(|e| failed(&topic, "cannot listen for room", &e))?.map(Arc::new);
+        let publisher = match &room {
+            Some(room) => {
+                let (flag, room) = (stop.clone(), room.clone());
+                builder.set_backpressure_handler(move |_| {
+                    if flag.count() >= stop_at {
+                        return BackpressureAction::DiscardDataAndFail;
+                    }
+                    // A wait that fails leaves iceoryx2's own back-off between the retries.
+                    let _ = room.timed_wait(|_| {}, BLOCKED_RECHECK);
+                    BackpressureAction::Retry
+                })
+            }
+            None => builder,
         }
         .create()
         .map_err(|e| failed(&topic, "cannot publish", &e))?;
@@ -160,6 +161,9 @@ impl<M: Message> ChannelSender<M> {
         let touched: Result<Vec<_>, _> =
             (0..slots).map(|_| publisher.loan_slice(channel.max_items.max(1))).collect();
         drop(touched.map_err(|e| failed(&topic, "cannot touch its buffers", &e))?);
+        if let Some(room) = &room {
+            meet_readers(&services, room, &wake, stop)?;
+        }
         Ok(Self {
             topic,
             max_items: channel.max_items.max(1),
@@ -172,6 +176,37 @@ impl<M: Message> ChannelSender<M> {
             sent: 0,
             _services: services,
         })
+    }
+}
+
+/// Waits until every reader there is has connected to this new sender. A reader connects when it receives, and until
+/// then a full channel drops what is sent to it, however lossless it is meant to be.
+///
+/// Each reader is heard of twice: the first word may still be of a receive that began before this sender was there.
+/// Readers that come later connect at once (see [`ChannelReceiver::new`]).
+fn meet_readers<M: Message>(
+    services: &ChannelServices<M>,
+    room: &Listener<Ipc>,
+    wake: &Notifier<Ipc>,
+    stop: &Stop,
+) -> Result<(), RuntimeError> {
+    let topic = &services.channel.topic;
+    let mut heard: HashMap<usize, u32> = HashMap::new();
+    room.try_wait(|_| {}).map_err(|e| failed(topic, "cannot listen for readers", &e))?;
+    loop {
+        // Looked up each time: a reader that dies meanwhile vanishes from the list once it is cleaned up.
+        let mut missing = false;
+        services.data.dynamic_config().list_subscribers(|reader| {
+            let number = reader.subscriber_name.as_str().parse::<usize>().ok();
+            missing |= number.is_some_and(|n| heard.get(&(FIRST_READER + n)).is_none_or(|times| *times < 2));
+            CallbackProgression::Continue
+        });
+        if !missing || stop.requested() {
+            return Ok(());
+        }
+        let _ = wake.notify_with_custom_event_id(EventId::new(DATA));
+        room.timed_wait(|event| *heard.entry(event.id.as_value()).or_default() += 1, BLOCKED_RECHECK)
+            .map_err(|e| failed(topic, "cannot wait for readers", &e))?;
     }
 }
 
@@ -220,6 +255,7 @@ pub(crate) struct ChannelReceiver<M: Message> {
     subscriber: Subscriber<Ipc, [M::Item], M::Header>,
     listener: Listener<Ipc>,
     room: Option<Notifier<Ipc>>,
+    reader: EventId,
     run_id: u64,
     /// The next sequence number per sender (service, incarnation).
     expected: HashMap<(u32, u32), u64>,
@@ -250,14 +286,19 @@ impl<M: Message> Incoming<M> {
 }
 
 impl<M: Message> ChannelReceiver<M> {
-    pub(crate) fn new(services: ChannelServices<M>, run_id: u64) -> Result<Self, RuntimeError> {
+    /// `reader` is the number of this process among the readers.
+    pub(crate) fn new(services: ChannelServices<M>, run_id: u64, reader: u32) -> Result<Self, RuntimeError> {
         let topic = services.channel.topic.clone();
+        let name = PortName::new(&reader.to_string()).map_err(|e| failed(&topic, "bad port name", &e))?;
         let subscriber = services
             .data
             .subscriber_builder()
             .buffer_size(services.channel.buffer)
+            .name(&name)
             .create()
             .map_err(|e| failed(&topic, "cannot subscribe", &e))?;
+        // Connects to the senders there are, so that a full channel waits for this reader from now on.
+        subscriber.has_samples().map_err(|e| failed(&topic, "cannot connect", &e))?;
         let listener =
             services.wake.listener_builder().create().map_err(|e| failed(&topic, "cannot listen", &e))?;
         let room = services.channel.waits.then(|| services.room.notifier_builder().create());
@@ -267,6 +308,7 @@ impl<M: Message> ChannelReceiver<M> {
             subscriber,
             listener,
             room,
+            reader: EventId::new(FIRST_READER + reader as usize),
             run_id,
             expected: HashMap::new(),
             lost: 0,
@@ -284,10 +326,10 @@ impl<M: Message> ChannelReceiver<M> {
     pub(crate) fn receive(&mut self) -> Result<Option<Incoming<M>>, RuntimeError> {
         loop {
             let received = self.subscriber.receive().map_err(|e| failed(&self.topic, "cannot receive", &e))?;
-            let Some(sample) = received else { return Ok(None) };
             if let Some(room) = &self.room {
-                let _ = room.notify_with_custom_event_id(EventId::new(ROOM));
+                let _ = room.notify_with_custom_event_id(self.reader);
             }
+            let Some(sample) = received else { return Ok(None) };
             let stamp = *sample.user_header().stamp();
             if stamp.run_id != self.run_id || stamp.items as usize > sample.payload().len() {
                 self.refused += 1;

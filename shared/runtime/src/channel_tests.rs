@@ -46,7 +46,7 @@ fn sender(node: &Node<Ipc>, channel: &Channel, stop: &Stop, incarnation: u32) ->
 }
 
 fn receiver(node: &Node<Ipc>, channel: &Channel) -> ChannelReceiver<Chunks> {
-    ChannelReceiver::new(ChannelServices::open(node, channel).unwrap(), 7).unwrap()
+    ChannelReceiver::new(ChannelServices::open(node, channel).unwrap(), 7, 1).unwrap()
 }
 
 fn send(sender: &mut ChannelSender<Chunks>, tick: u64, len: usize) -> Result<(), StageError> {
@@ -72,8 +72,8 @@ fn empty_and_full_messages_arrive_with_their_true_length() {
     let bench = Bench::new();
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
-    let mut to = receiver(&b, &channel);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
+    let mut to = receiver(&b, &channel);
     send(&mut from, 1, 0).unwrap();
     send(&mut from, 2, 100).unwrap();
     assert_eq!(drain(&mut to), [(1, 0, false), (2, 100, false)]);
@@ -85,10 +85,8 @@ fn what_was_sent_can_be_read_after_the_sender_has_gone() {
     let bench = Bench::new();
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
-    let mut to = receiver(&b, &channel);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
-    // A reader that had not connected yet would miss it: hence ingest stays until it is told to go.
-    assert_eq!(drain(&mut to), []);
+    let mut to = receiver(&b, &channel);
     for tick in 0..3 {
         send(&mut from, tick, 5).unwrap();
     }
@@ -102,8 +100,8 @@ fn latest_loses_the_oldest_and_counts_it() {
     let bench = Bench::new();
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Latest);
-    let mut to = receiver(&b, &channel);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
+    let mut to = receiver(&b, &channel);
     send(&mut from, 0, 1).unwrap();
     assert_eq!(drain(&mut to).len(), 1);
     for tick in 1..=5 {
@@ -118,9 +116,9 @@ fn lossless_waits_for_room_and_gives_up_when_stopped() {
     let bench = Bench::new();
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
-    let mut to = receiver(&b, &channel);
     let stop = Stop::new();
     let mut from = sender(&a, &channel, &stop, 1);
+    let mut to = receiver(&b, &channel);
     for tick in 0..3 {
         send(&mut from, tick, 1).unwrap();
     }
@@ -142,12 +140,34 @@ fn lossless_waits_for_room_and_gives_up_when_stopped() {
 }
 
 #[test]
+fn a_new_sender_waits_until_the_readers_have_connected() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Lossless);
+    let mut to = receiver(&b, &channel);
+    std::thread::scope(|scope| {
+        // More than the channel holds, and nobody has received yet.
+        let sending = scope.spawn(|| {
+            let mut from = sender(&a, &channel, &Stop::new(), 1);
+            (0..50).try_for_each(|tick| send(&mut from, tick, 1)).map(|()| from)
+        });
+        let mut seen = Vec::new();
+        while seen.len() < 50 {
+            seen.extend(drain(&mut to));
+            std::thread::yield_now();
+        }
+        assert_eq!(seen, (0..50).map(|tick| (tick, 1, false)).collect::<Vec<_>>());
+        assert!(sending.join().unwrap().is_ok());
+    });
+}
+
+#[test]
 fn messages_of_another_run_are_refused() {
     let bench = Bench::new();
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
-    let mut to = ChannelReceiver::<Chunks>::new(ChannelServices::open(&b, &channel).unwrap(), 8).unwrap();
     let mut from = sender(&a, &channel, &Stop::new(), 1);
+    let mut to = ChannelReceiver::<Chunks>::new(ChannelServices::open(&b, &channel).unwrap(), 8, 1).unwrap();
     send(&mut from, 0, 1).unwrap();
     assert_eq!(drain(&mut to), []);
     assert_eq!(to.refused, 1);
@@ -160,8 +180,8 @@ fn nothing_is_left_in_shared_memory() {
     {
         let node = bench.node();
         let channel = channel(Delivery::Lossless);
-        let _to = receiver(&node, &channel);
         let _from = sender(&node, &channel, &Stop::new(), 1);
+        let _to = receiver(&node, &channel);
     }
     let left = || {
         let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();

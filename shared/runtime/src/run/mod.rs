@@ -96,7 +96,7 @@ impl ServiceContext {
     }
 
     fn receiver<M: Message>(&self, topic: &Topic) -> Result<ChannelReceiver<M>, RuntimeError> {
-        ChannelReceiver::new(self.services(topic)?, self.identity.run_id)
+        ChannelReceiver::new(self.services(topic)?, self.identity.run_id, self.identity.service)
     }
 
     fn sender<M: Message>(&self, topic: &Topic, stop_at: u32) -> Result<ChannelSender<M>, RuntimeError> {

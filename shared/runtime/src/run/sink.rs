@@ -10,7 +10,7 @@ use evpr_core::message::{Descriptors, Header, Lifecycle, Matches, ServicePhase, 
 use evpr_core::plan::Topic;
 use evpr_core::stage::{Outlet, Sink, StageError};
 use std::time::Duration;
-use tracing::{debug, warn};
+use tracing::{debug, trace, warn};
 
 /// Messages taken from one channel before the others have their turn.
 const BATCH: usize = 32;
@@ -48,6 +48,7 @@ impl Inputs {
             let Some(message) = self.ticks.receive()? else { break };
             came = true;
             let outcome = sink.tick(message.header(), message.payload());
+            trace!(tick = message.header().tick, kind = message.header().kind, gap = message.gap, "tick message");
             self.skipped(ctx, message.header().tick, outcome)?;
         }
         for index in 0..self.rows.len() {
@@ -57,6 +58,7 @@ impl Inputs {
                 taken += 1;
                 let started = now_ns();
                 let outcome = sink.descriptor(message.header(), message.payload());
+                trace!(tick = message.header().tick, member = message.header().member, gap = message.gap, "row");
                 let stats = &mut ctx.telemetry.stats;
                 stats.received += 1;
                 stats.waiting.record(started.saturating_sub(message.header().stamp().sent_ns));

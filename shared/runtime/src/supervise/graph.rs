@@ -3,7 +3,7 @@
 use super::Spawn;
 use super::members::Members;
 use super::process::{Exit, Process};
-use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc};
+use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc, SUPERVISOR_READER};
 use crate::control::ControlServer;
 use crate::domain::{RunFolder, RunSpec};
 use crate::run::Identity;
@@ -178,13 +178,13 @@ impl Supervisor {
         }
         let has_fuse = plan.map.is_some();
         let matches = if has_fuse {
-            Some(ChannelReceiver::new(hold(&node, &plan, &Topic::Matches)?, run_id)?)
+            Some(ChannelReceiver::new(hold(&node, &plan, &Topic::Matches)?, run_id, SUPERVISOR_READER)?)
         } else {
             None
         };
         let ports = Ports {
-            stats: ChannelReceiver::new(hold(&node, &plan, &Topic::Stats)?, run_id)?,
-            ticks: ChannelReceiver::new(hold(&node, &plan, &Topic::Ticks)?, run_id)?,
+            stats: ChannelReceiver::new(hold(&node, &plan, &Topic::Stats)?, run_id, SUPERVISOR_READER)?,
+            ticks: ChannelReceiver::new(hold(&node, &plan, &Topic::Ticks)?, run_id, SUPERVISOR_READER)?,
             matches,
             lifecycle: ChannelSender::new(hold(&node, &plan, &Topic::Lifecycle)?, identity, &stop, 1)?,
             control: ChannelSender::new(hold(&node, &plan, &Topic::Control)?, identity, &stop, 1)?,
@@ -412,6 +412,10 @@ impl Supervisor {
             self.failed = true;
             self.state = State::Stopping;
             return Ok(());
+        }
+        let draining = matches!(self.state, State::Draining { .. });
+        if draining && exit == Exit::Clean && self.processes[index].service.kind == ServiceKind::Ingest {
+            return Ok(()); // it was asked to
         }
         let now = Instant::now();
         let process = &mut self.processes[index];
