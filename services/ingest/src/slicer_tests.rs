@@ -1,6 +1,6 @@
 //! The slicer against a plain computation of every segment, and its rules one by one.
 
-use crate::testing::{KeptPort, Sent};
+use crate::testing::{KeptPort, Segment, Sent};
 use crate::{MAX_GAP_TICKS, RawEvent, SliceTally, Slicer};
 use evpr_core::message::{ChunkHeader, MemberSetting, TickKind};
 use evpr_core::plan::{Align, Delivery, Origin, Pace, Plan, SliceMode, test_plan};
@@ -304,7 +304,7 @@ fn a_resumed_stream_is_the_rest_of_the_whole_one() {
 }
 
 /// What each needed segment holds, computed one event at a time.
-fn naive(plan: &Plan, events: &[RawEvent]) -> Vec<(u64, u32, Vec<(u64, u16, u16, bool)>)> {
+fn naive(plan: &Plan, events: &[RawEvent]) -> Vec<Segment> {
     let segments = plan.slicing.segments();
     let t0 = events[0].t_ns;
     let offsets: Vec<u64> = match plan.slicing.mode {

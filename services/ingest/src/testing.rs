@@ -11,6 +11,9 @@ pub(crate) enum Sent {
     Tick(TickHeader, Vec<f64>),
 }
 
+/// Tick, segment, and its events: time in µs, column, row, ON.
+pub(crate) type Segment = (u64, u32, Vec<(u64, u16, u16, bool)>);
+
 /// Time stands still but for [`IngestPort::wait_until`], which sets it.
 #[derive(Debug, Default)]
 pub(crate) struct KeptPort {
@@ -63,8 +66,8 @@ impl KeptPort {
 
     /// Everything that was sent, with the times of the host and of chunk borders taken out: per (tick, segment) all
     /// events with absolute times.
-    pub(crate) fn segments(&self) -> Vec<(u64, u32, Vec<(u64, u16, u16, bool)>)> {
-        let mut all: Vec<(u64, u32, Vec<_>)> = Vec::new();
+    pub(crate) fn segments(&self) -> Vec<Segment> {
+        let mut all: Vec<Segment> = Vec::new();
         for (h, events) in self.chunks() {
             if h.opens_segment() {
                 all.push((h.tick, h.segment, Vec::new()));

@@ -1,4 +1,5 @@
 //! Recordings of every kind, good and bad, through the public interface.
+#![allow(clippy::unwrap_used)] // helpers of tests are not seen as tests
 
 use evpr_core::plan::{OnBadEvent, Pace, Sensor, Source, TimeUnit};
 use evpr_ingest::{RawEvent, RecordingInfo, SourceError, SourceInfo, info, open, probe};

@@ -210,10 +210,8 @@ impl Hdf5 {
         if len == 0 {
             return Err("holds no events".to_owned());
         }
-        let sensor = match side_of(&events, &root, "height")?.zip(side_of(&events, &root, "width")?) {
-            Some((height, width)) => Some(Sensor { height, width }),
-            None => None,
-        };
+        let sides = side_of(&events, &root, "height")?.zip(side_of(&events, &root, "width")?);
+        let sensor = sides.map(|(height, width)| Sensor { height, width });
         Ok(Self {
             path: path.to_owned(),
             sensor,
@@ -331,21 +329,54 @@ impl Recording for Hdf5 {
     }
 
     fn seek_before(&mut self, t_ns: u64) -> Result<Option<u64>, SourceError> {
-        let (mut before, mut after) = (0, self.len);
-        // Invariant: `before` is 0 or an event earlier than `t_ns`. One block is as fine as it needs to be.
-        while after - before > self.timestamps.block_len {
-            let middle = before + (after - before) / 2;
-            let found = self
-                .timestamps
-                .from(middle)
-                .map_err(|what| SourceError::malformed(&self.path, what))?;
-            if found.first().is_some_and(|t| *t < t_ns) {
-                before = middle;
-            } else {
-                after = middle;
-            }
-        }
+        let timestamps = &mut self.timestamps;
+        let (len, block_len) = (self.len, timestamps.block_len);
+        let before = search(len, block_len, t_ns, |at| {
+            timestamps.from(at).map(|t| t.first().copied())
+        })
+        .map_err(|what| SourceError::malformed(&self.path, what))?;
         self.position = before;
         Ok(Some(before))
+    }
+}
+
+/// An index, at most `block_len` before the first time that is not below `t_ns`, or 0; `time_at` does not decrease.
+fn search(
+    len: u64,
+    block_len: u64,
+    t_ns: u64,
+    mut time_at: impl FnMut(u64) -> Result<Option<u64>, String>,
+) -> Result<u64, String> {
+    // `before` is 0 or earlier than `t_ns`; `after` is the end or not. Finer than a block need not be told apart.
+    let (mut before, mut after) = (0, len);
+    while after - before > block_len {
+        let middle = before + (after - before) / 2;
+        if time_at(middle)?.is_some_and(|t| t < t_ns) {
+            before = middle;
+        } else {
+            after = middle;
+        }
+    }
+    Ok(before)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn search_stops_shortly_before_the_time(
+            mut times in proptest::collection::vec(0u64..100, 1..200),
+            block_len in 1u64..20,
+            t_ns in 0u64..110,
+        ) {
+            times.sort_unstable();
+            let found = search(times.len() as u64, block_len, t_ns, |at| Ok(times.get(at as usize).copied()));
+            let found = found.unwrap();
+            let first = times.partition_point(|t| *t < t_ns) as u64;
+            prop_assert!(found <= first && first - found <= block_len);
+        }
     }
 }

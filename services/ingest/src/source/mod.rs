@@ -78,12 +78,14 @@ impl Head {
     }
 }
 
+type Opened = Result<Box<dyn Recording>, SourceError>;
+
 /// A format: one row of the registry.
 struct Format {
     /// Endings of file names, without the point, in lower case.
     extensions: &'static [&'static str],
     detects: fn(&Head) -> bool,
-    open: fn(&Path, TimeUnit) -> Result<Box<dyn Recording>, SourceError>,
+    open: fn(&Path, TimeUnit) -> Opened,
     /// What is wrong with a file of this ending that is not of this format.
     otherwise: &'static str,
 }
