@@ -156,6 +156,11 @@ fn duration(text: &str) -> Result<u64, String> {
     parse_duration_ns(text)
 }
 
+fn weight(text: &str) -> Result<f64, String> {
+    let weight = text.parse::<f64>().ok().filter(|w| w.is_finite() && *w >= 0.0);
+    weight.ok_or_else(|| "not a weight; give a number of 0 or more".to_owned())
+}
+
 /// Where in its tick a window lies.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub(crate) enum AlignArg {
@@ -257,7 +262,7 @@ pub(crate) struct MemberWeightArgs {
     #[command(flatten)]
     pub(crate) instance: InstanceArgs,
     /// The weight: 0 or more
-    #[arg(value_name = "WEIGHT", allow_negative_numbers = true)]
+    #[arg(value_name = "WEIGHT", allow_negative_numbers = true, value_parser = weight)]
     pub(crate) weight: f64,
     /// Members such as event_count@250ms/patch_norm, or "all"
     #[arg(value_name = "MEMBER", required = true)]

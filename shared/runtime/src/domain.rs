@@ -26,6 +26,8 @@ pub struct RunFolder {
 pub struct RunSpec {
     /// The run: differs from every other run's on this machine.
     pub run_id: u64,
+    /// Process id of the supervisor.
+    pub supervisor: u32,
     /// The plan.
     pub plan: Plan,
 }
@@ -154,13 +156,10 @@ impl RunFolder {
         swept
     }
 
-    /// Removes the folder itself, and its parent if that is empty then.
+    /// Removes the folder itself, once it is swept.
     pub(crate) fn remove(&self) {
         let _ = fs::remove_file(self.path.join("lock"));
         let _ = fs::remove_dir(&self.path);
-        if let Some(parent) = self.path.parent() {
-            let _ = fs::remove_dir(parent);
-        }
     }
 
     /// Leaves the plan for the processes.

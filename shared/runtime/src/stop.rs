@@ -87,6 +87,7 @@ impl Stop {
         let handle = signals.handle();
         let stop = Self::new();
         let raised = stop.clone();
+        let parent = nix::unistd::getppid();
         let thread = std::thread::Builder::new()
             .name("signals".to_owned())
             .spawn(move || {
@@ -94,6 +95,9 @@ impl Stop {
                     if signal != SIGCHLD {
                         raised.interrupted.fetch_or(signal == SIGINT, Ordering::AcqRel);
                         raised.raise();
+                        if nix::unistd::getppid() != parent {
+                            raised.raise(); // nobody is there any more to ask a second time
+                        }
                     }
                     wake.wake();
                 }

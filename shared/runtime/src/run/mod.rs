@@ -67,8 +67,8 @@ impl ServiceContext {
     /// # Errors
     /// When the folder holds no run, or shared memory cannot be joined.
     pub fn join(folder: RunFolder, service: usize, incarnation: u32) -> Result<Self, RuntimeError> {
-        die_with_parent()?;
-        let RunSpec { run_id, plan } = folder.read_spec()?;
+        let RunSpec { run_id, supervisor, plan } = folder.read_spec()?;
+        die_with(supervisor)?;
         let described = plan
             .services()
             .get(service)
@@ -104,8 +104,12 @@ impl ServiceContext {
     }
 }
 
-/// Asks the kernel for SIGTERM when the parent dies, so that a killed supervisor leaves no orphans.
-fn die_with_parent() -> Result<(), RuntimeError> {
+/// Asks the kernel for SIGTERM when the supervisor dies, so that a killed supervisor leaves no orphans.
+fn die_with(supervisor: u32) -> Result<(), RuntimeError> {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGTERM)
-        .map_err(|e| RuntimeError::Process(format!("cannot ask to end with the parent: {e}")))
+        .map_err(|e| RuntimeError::Process(format!("cannot ask to end with the supervisor: {e}")))?;
+    if nix::unistd::getppid().as_raw() as u32 != supervisor {
+        return Err(RuntimeError::Process("the supervisor of this run has gone".to_owned()));
+    }
+    Ok(())
 }

@@ -163,7 +163,7 @@ impl Supervisor {
         }
         shm::check(&plan)?;
         let run_id = now_ns() ^ (u64::from(std::process::id()) << 40);
-        folder.write_spec(&RunSpec { run_id, plan: plan.clone() })?;
+        folder.write_spec(&RunSpec { run_id, supervisor: std::process::id(), plan: plan.clone() })?;
         let members = Members::new(&plan);
         let node = folder.node("supervisor")?;
         let (wake_sender, wake) = wake_pair(&node, "supervisor")?;

@@ -68,6 +68,10 @@ impl Members {
                 false
             }
             ControlRequest::Set { members, enabled, weight } => {
+                if enabled.is_none() && weight.is_none() {
+                    let _ = reply.send(ControlReply::refusal("there is nothing to change".to_owned()));
+                    return false;
+                }
                 if let Some(weight) = weight.filter(|w| !w.is_finite() || *w < 0.0) {
                     let text = format!("{weight} is not a weight; give a number of 0 or more");
                     let _ = reply.send(ControlReply::refusal(text));
