@@ -119,6 +119,7 @@ pub fn answers(
             tick: at.tick,
             start_us: at.start_us,
             end_us: at.end_us,
+            position: None,
             control_version: 0,
             members,
             weights: Vec::new(),

@@ -2,6 +2,7 @@
 
 use crate::event::seconds;
 use crate::pace::Pace;
+use crate::placed::Placed;
 use crate::reader::{Batch, Reader, next_screened};
 use crate::{RawEvent, Recording, Screen, ScreenTally, SliceTally, Slicer, SourceError, source};
 use crossbeam::channel::{Receiver, TryRecvError};
@@ -129,6 +130,8 @@ impl Ingest {
             first,
             mut replay,
         } = self;
+        let trajectory = recording.trajectory();
+        let port = &mut Placed { port, trajectory };
         let reader = match Reader::spawn(recording, screen, first) {
             Ok(reader) => reader,
             Err(e) => return replay.end(Err(fatal(&e)), port),

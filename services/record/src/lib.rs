@@ -103,7 +103,7 @@ impl Recorder {
             tick: settled.info.tick,
             start_us: settled.info.start_us,
             end_us: settled.info.end_us,
-            position: None,
+            position: settled.info.position,
         };
         let Some(writer) = self.writer.as_mut() else {
             return Ok(());

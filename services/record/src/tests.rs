@@ -42,6 +42,9 @@ fn tick_of(r: &mut Recorder, tick: u64, kind: TickKind, members: &[usize]) {
         end_us: tick * 1000 + 1000,
         closed_ns: 1000 * (tick + 1),
         members: members.iter().copied().collect::<MemberSet>(),
+        // The camera's position is not known at tick 1.
+        east_m: if tick == 1 { f64::NAN } else { tick as f64 + 0.5 },
+        north_m: -1.0,
         kind: kind as u32,
         ..TickHeader::default()
     };
@@ -137,7 +140,11 @@ fn rows_and_holes_are_recorded_in_order() {
         .iter()
         .map(|t| (t.start_us, t.end_us, t.position))
         .collect();
-    assert_eq!(times, [(0, 1000, None), (1000, 2000, None), (2000, 3000, None)]);
+    assert_eq!(times, [
+            (0, 1000, Some([0.5, -1.0])),
+            (1000, 2000, None),
+            (2000, 3000, Some([2.5, -1.0]))
+        ]);
     t.check_against(&bench.plan).unwrap();
     assert!(evpr_store::verify(t.path()).unwrap().problems.is_empty());
 }

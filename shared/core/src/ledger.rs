@@ -20,6 +20,8 @@ pub struct TickInfo {
     pub start_us: u64,
     /// Sensor time of its end, µs.
     pub end_us: u64,
+    /// Where the camera was at its start: metres east and north; `None` where not known.
+    pub position: Option<[f64; 2]>,
     /// Version of the control message in force.
     pub control_version: u64,
     /// Members enabled.
@@ -103,7 +105,8 @@ const MAX_AHEAD: u64 = 1 << 16;
 #[derive(Debug)]
 pub struct Ledger<T> {
     next: u64,
-    end: Option<u64>,
+    /// The first tick that does not exist, and when that was said (host monotonic ns).
+    end: Option<(u64, u64)>,
     pending: VecDeque<Pending<T>>,
     expect: Vec<Expect>,
     /// Per member: the services its rows pass through (reconstruct, extract).
@@ -155,7 +158,7 @@ impl<T> Ledger<T> {
 
     /// True once the stream has ended and every tick before its end is settled.
     pub fn finished(&self) -> bool {
-        self.end.is_some_and(|end| self.next >= end)
+        self.end.is_some_and(|(end, _)| self.next >= end)
     }
 
     fn entry(&mut self, tick: u64) -> Result<&mut Pending<T>, Arrival> {
@@ -187,6 +190,7 @@ impl<T> Ledger<T> {
                     tick: header.tick,
                     start_us: header.start_us,
                     end_us: header.end_us,
+                    position: header.position(),
                     control_version: header.control_version,
                     members: header.members,
                     weights: (0..self.expect.len())
@@ -212,7 +216,8 @@ impl<T> Ledger<T> {
                 Err(arrival) => arrival,
             },
             Some(TickKind::End) => {
-                self.end = Some(header.tick);
+                let said_ns = self.end.map_or(header.stamp.sent_ns, |(_, said_ns)| said_ns);
+                self.end = Some((header.tick, said_ns));
                 Arrival::Accepted
             }
             None => Arrival::Refused,
@@ -295,13 +300,20 @@ impl<T> Ledger<T> {
         }
     }
 
-    fn due_ns(&self, pending: &Pending<T>) -> Option<u64> {
-        (!self.lossless && pending.closed).then(|| pending.closed_ns.saturating_add(self.deadline_ns))
+    /// When the head's answer is due (host monotonic ns). Closings can be lost, but not overtaken: a later tick that is
+    /// due, or the end, makes all before it due.
+    fn due_ns(&self) -> Option<u64> {
+        if self.lossless || self.finished() {
+            return None;
+        }
+        let closed = self.pending.iter().find(|p| p.closed).map(|p| p.closed_ns);
+        let known = closed.or(self.end.map(|(_, said_ns)| said_ns))?;
+        Some(known.saturating_add(self.deadline_ns))
     }
 
     /// When [`Ledger::settle`] should be called again though nothing came (host monotonic ns).
     pub fn deadline_ns(&self) -> Option<u64> {
-        self.pending.iter().find_map(|p| self.due_ns(p))
+        self.due_ns()
     }
 
     /// Hands out the next tick, if it can be settled at `now_ns` (host monotonic).
@@ -310,9 +322,12 @@ impl<T> Ledger<T> {
             self.pending.clear();
             return None;
         }
+        if self.pending.is_empty() && self.end.is_some() && !self.lossless {
+            let _ = self.entry(self.next); // lost without a trace
+        }
+        let overdue = self.due_ns().is_some_and(|due| due <= now_ns);
         let head = self.pending.front()?;
-        let overdue = self.due_ns(head).is_some_and(|due| due <= now_ns);
-        let later_known = || self.pending.iter().skip(1).any(|p| p.info.is_some());
+        let later_known = || self.end.is_some() || self.pending.iter().skip(1).any(|p| p.info.is_some());
         if head.info.is_none() {
             // Ingest announces ticks in order on one channel: a later one without this one means it was lost. Without
             // loss this cannot happen in lossless delivery, where ingest goes back after a death.
@@ -332,7 +347,7 @@ impl<T> Ledger<T> {
             }
             if !self.lossless && !head.closed && !(0..self.expect.len()).any(|m| head.ended(m)) {
                 // Everybody is off or down: the tick is still answered when it is over, not before it began.
-                if !later_known() && self.end.is_none() {
+                if !later_known() {
                     return None;
                 }
             }
@@ -381,6 +396,7 @@ impl<T> Ledger<T> {
                     tick,
                     start_us: known.start_us.saturating_sub(back),
                     end_us: known.end_us.saturating_sub(back),
+                    position: None,
                     ..known.clone()
                 }
             }
@@ -388,6 +404,7 @@ impl<T> Ledger<T> {
                 tick,
                 start_us: 0,
                 end_us: 0,
+                position: None,
                 control_version: 0,
                 members: MemberSet::default(),
                 weights: vec![1.0; self.expect.len()],
@@ -577,6 +594,32 @@ mod tests {
             assert_eq!(reasons(&s), [Some(Reason::Lost), Some(Reason::Lost)]);
         }
         assert_eq!(l.settle(0), None);
+    }
+
+    #[test]
+    fn latest_does_not_wait_for_a_closing_that_was_lost() {
+        let mut l = ledger(Delivery::Latest);
+        tick(&mut l, 0, TickKind::Open);
+        tick(&mut l, 1, TickKind::Open);
+        tick(&mut l, 1, TickKind::Close);
+        assert_eq!(l.deadline_ns(), Some(2100));
+        assert_eq!(l.settle(2099), None);
+        assert_eq!(l.settle(2100).unwrap().info.tick, 0);
+        assert_eq!(l.settle(2100).unwrap().info.tick, 1);
+    }
+
+    #[test]
+    fn latest_answers_every_tick_before_the_end_whatever_was_lost() {
+        let mut l = ledger(Delivery::Latest);
+        tick(&mut l, 1, TickKind::Open);
+        row(&mut l, 1, 0, 1, 1);
+        tick(&mut l, 4, TickKind::End);
+        assert!(l.settle(0).unwrap().lost);
+        assert_eq!(l.settle(99), None, "tick 1 may still be completed");
+        let ticks: Vec<_> = std::iter::from_fn(|| l.settle(100)).map(|s| (s.info.tick, s.lost)).collect();
+        assert_eq!(ticks, [(1, false), (2, true), (3, true)]);
+        assert!(l.finished());
+        assert_eq!(l.deadline_ns(), None);
     }
 
     #[test]

@@ -38,6 +38,19 @@ pub trait Recording: Send {
         let _ = t_ns;
         Ok(None)
     }
+
+    /// Where the camera was, if the recording knows. Asked once, before reading begins; what it gives is used by
+    /// another thread than the recording.
+    fn trajectory(&self) -> Option<Box<dyn Trajectory>> {
+        None
+    }
+}
+
+/// Where the camera was over the time of a recording.
+pub trait Trajectory: Send {
+    /// Metres east (or x) and north (or y) at sensor time `t_ns`; `None` where that is not known. Asked once per tick,
+    /// for its start, in the order of time.
+    fn position(&mut self, t_ns: u64) -> Option<[f64; 2]>;
 }
 
 /// What a recording is.

@@ -21,8 +21,8 @@ fn layouts_are_as_published() {
         height: 108, width: 112, channel_order: 116, reason: 120, extractors: 124);
     layout!(DescriptorHeader, 112,  stamp: 0, tick: 40, life: 48, epoch: 88, member: 92, reason: 96, dim: 100,
         reconstruct_service: 104, reconstruct_incarnation: 108);
-    layout!(TickHeader, 120,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, control_version: 72,
-        members: 80, epoch: 112, kind: 116);
+    layout!(TickHeader, 136,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, east_m: 72, north_m: 80,
+        control_version: 88, members: 96, epoch: 128, kind: 132);
     layout!(MemberSetting, 16, weight: 0, enabled: 8);
     layout!(ControlHeader, 48,  stamp: 0, version: 40);
     layout!(ServiceState, 16, incarnation: 0, dead_through: 4, health: 8);
@@ -33,4 +33,17 @@ fn layouts_are_as_published() {
         candidates: 140, control_version: 144, ends: 152);
     layout!(StatsHeader, 2784,  stamp: 0, phase: 40, pid: 44, next_tick: 48, received: 56, emitted: 64, skipped: 72,
         dropped: 80, refused: 88, events: 96, progress_permille: 104, waiting: 112, processing: 1448);
+}
+
+#[test]
+fn a_position_is_unknown_unless_both_numbers_are_there() {
+    let at = |east_m, north_m| TickHeader {
+        east_m,
+        north_m,
+        ..TickHeader::default()
+    };
+    assert_eq!(TickHeader::default().position(), None);
+    assert_eq!(at(1.0, f64::NAN).position(), None);
+    assert_eq!(at(f64::INFINITY, 0.0).position(), None);
+    assert_eq!(at(1.0, -2.0).position(), Some([1.0, -2.0]));
 }

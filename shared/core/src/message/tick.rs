@@ -31,8 +31,8 @@ impl TickKind {
 
 /// Header of a tick message.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[type_name("evpr.TickHeader.1")]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("evpr.TickHeader.2")]
 pub struct TickHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
@@ -44,6 +44,11 @@ pub struct TickHeader {
     pub end_us: u64,
     /// Host monotonic time (ns) at which the tick's last window closed; 0 before.
     pub closed_ns: u64,
+    /// Where the camera was at the tick's start, metres east (or x) in the recording's frame; NaN where the recording
+    /// does not know, and but for [`TickKind::Open`].
+    pub east_m: f64,
+    /// The same, metres north (or y).
+    pub north_m: f64,
     /// Version of the control message in force: the tick named here is the one a change takes effect at.
     pub control_version: u64,
     /// The members enabled at this tick.
@@ -52,6 +57,32 @@ pub struct TickHeader {
     pub epoch: u32,
     /// Number of a [`TickKind`].
     pub kind: u32,
+}
+
+impl TickHeader {
+    /// Where the camera was at the tick's start: metres east and north; `None` where not known.
+    pub fn position(&self) -> Option<[f64; 2]> {
+        (self.east_m.is_finite() && self.north_m.is_finite()).then_some([self.east_m, self.north_m])
+    }
+}
+
+impl Default for TickHeader {
+    /// Zeroes, and no position.
+    fn default() -> Self {
+        Self {
+            stamp: Stamp::default(),
+            tick: 0,
+            start_us: 0,
+            end_us: 0,
+            closed_ns: 0,
+            east_m: f64::NAN,
+            north_m: f64::NAN,
+            control_version: 0,
+            members: MemberSet::default(),
+            epoch: 0,
+            kind: 0,
+        }
+    }
 }
 
 header!(TickHeader, tick: tick);

@@ -1,0 +1,97 @@
+//! Positions: fills in where the camera was when a tick opens, on the way to the port.
+
+use crate::Trajectory;
+use evpr_core::message::{ChunkHeader, Event, MemberSetting, TickHeader, TickKind};
+use evpr_core::stage::{IngestPort, StageError};
+
+/// A port behind which the openings of ticks carry a position.
+///
+/// The position is that of the tick's start, which in count mode is its first event. It is asked for at the start as
+/// the header has it, so truncated to whole µs.
+pub(crate) struct Placed<'a> {
+    pub(crate) port: &'a mut dyn IngestPort,
+    pub(crate) trajectory: Option<Box<dyn Trajectory>>,
+}
+
+impl IngestPort for Placed<'_> {
+    fn now_ns(&self) -> u64 {
+        self.port.now_ns()
+    }
+
+    fn chunk(
+        &mut self,
+        header: ChunkHeader,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [Event]),
+    ) -> Result<(), StageError> {
+        self.port.chunk(header, len, fill)
+    }
+
+    fn tick(&mut self, mut header: TickHeader, weights: &[f64]) -> Result<(), StageError> {
+        if let Some(trajectory) = &mut self.trajectory
+            && header.kind == TickKind::Open as u32
+            && let Some(position) = trajectory.position(header.start_us.saturating_mul(1_000))
+        {
+            [header.east_m, header.north_m] = position;
+        }
+        self.port.tick(header, weights)
+    }
+
+    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
+        self.port.control()
+    }
+
+    fn wait_until(&mut self, ns: u64) -> Result<(), StageError> {
+        self.port.wait_until(ns)
+    }
+
+    fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64) {
+        self.port.progress(permille, next_tick, events, skipped);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::KeptPort;
+
+    /// 1 m per µs to the east, known up to 5 µs.
+    struct Line;
+
+    impl Trajectory for Line {
+        fn position(&mut self, t_ns: u64) -> Option<[f64; 2]> {
+            (t_ns <= 5_000).then_some([t_ns as f64 / 1e3, -2.0])
+        }
+    }
+
+    fn positions(trajectory: Option<Box<dyn Trajectory>>) -> Vec<Option<[f64; 2]>> {
+        let mut port = KeptPort::default();
+        let mut placed = Placed {
+            port: &mut port,
+            trajectory,
+        };
+        for (kind, start_us) in [
+            (TickKind::Open, 3),
+            (TickKind::Close, 3),
+            (TickKind::Open, 6),
+            (TickKind::End, 4),
+        ] {
+            let header = TickHeader {
+                start_us,
+                kind: kind as u32,
+                ..TickHeader::default()
+            };
+            placed.tick(header, &[]).unwrap();
+        }
+        port.ticks().map(|(_, header)| header.position()).collect()
+    }
+
+    #[test]
+    fn openings_carry_the_position_where_it_is_known() {
+        assert_eq!(
+            positions(Some(Box::new(Line))),
+            [Some([3.0, -2.0]), None, None, None]
+        );
+        assert_eq!(positions(None), [None; 4]);
+    }
+}
