@@ -391,11 +391,13 @@ impl<T> Ledger<T> {
             .or(self.last_opened.as_ref());
         match known {
             Some(known) => {
-                let back = known.tick.saturating_sub(tick) * self.tick_us.unwrap_or(0);
+                let length = self.tick_us.unwrap_or(0);
+                let (back, on) = (known.tick.saturating_sub(tick), tick.saturating_sub(known.tick));
+                let shift = |us: u64| us.saturating_sub(back * length).saturating_add(on * length);
                 TickInfo {
                     tick,
-                    start_us: known.start_us.saturating_sub(back),
-                    end_us: known.end_us.saturating_sub(back),
+                    start_us: shift(known.start_us),
+                    end_us: shift(known.end_us),
                     position: None,
                     ..known.clone()
                 }

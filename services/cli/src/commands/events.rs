@@ -11,6 +11,7 @@ use evpr_core::message::{ChunkHeader, Event, FrameHeader, Frames, MemberSetting,
 use evpr_core::plan::{Align, OnBadEvent, Origin, Pace, Sensor, Source, TimeUnit};
 use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_core::time::format_duration;
+use evpr_ingest::RecordingInfo;
 use evpr_runtime::Progress;
 use indicatif::ProgressBar;
 use std::fmt::Write;
@@ -45,27 +46,28 @@ fn info(args: &EventsInfoArgs) -> Result<ExitCode, Failure> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&info)?);
     } else {
-        // The report's own keys are its labels, so that both outputs read the same.
-        let serde_json::Value::Object(fields) = serde_json::to_value(&info)? else { return Ok(ExitCode::SUCCESS) };
-        let width = fields.keys().map(String::len).max().unwrap_or(0);
-        for (key, value) in &fields {
-            println!("{:<width$}  {}", key.replace('_', " "), plain(value));
-        }
+        show(&info);
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// A value for a person.
-fn plain(value: &serde_json::Value) -> String {
-    match value {
-        serde_json::Value::Null => "unknown".to_owned(),
-        serde_json::Value::String(text) => text.clone(),
-        serde_json::Value::Number(n) if n.is_f64() => format!("{:.6}", n.as_f64().unwrap_or(0.0)),
-        serde_json::Value::Object(fields) => {
-            fields.iter().map(|(k, v)| format!("{} {}", k.replace('_', " "), plain(v))).collect::<Vec<_>>().join(", ")
-        }
-        other => other.to_string(),
+/// The report for a person.
+fn show(info: &RecordingInfo) {
+    let row = |label: &str, value: String| println!("{label:<16} {value}");
+    let unit_from = info.source.time_unit_from;
+    row("recording", info.source.path.display().to_string());
+    row("format", format!("{}, times in {} (by {unit_from})", info.source.format, info.source.time_unit));
+    match (info.height, info.width) {
+        (Some(height), Some(width)) => row("sensor", Sensor { height, width }.to_string()),
+        _ => row("sensor", format!("not told; largest row {}, largest column {}", info.max_y, info.max_x)),
     }
+    row("events", format!("{}, {:.1} % ON", info.events, info.on_share * 100.0));
+    row("time", format!("{} to {} ns, {:.3} s", info.first_ns, info.last_ns, info.duration_s));
+    row("rate", format!("{:.0} events/s, at most {:.0} over 100 ms", info.mean_rate_hz, info.peak_rate_hz));
+    row("longest gap", format!("{:.3} ms", info.max_gap_ns as f64 / 1e6));
+    row("backward times", info.backward_times.to_string());
+    row("equal times", info.duplicate_times.to_string());
+    row("outside sensor", info.outside_sensor.map_or_else(|| "unknown".to_owned(), |n| n.to_string()));
 }
 
 /// The configuration that stands for the options, so that they are checked in one place.

@@ -7,8 +7,8 @@ use crate::clock::now_ns;
 use crate::domain::Settings;
 use crate::telemetry::HEARTBEAT;
 use crate::wait::{Waiter, wait_set};
-use evpr_core::message::{ChunkHeader, Chunks, Control, Event, MemberSetting, ServicePhase, TickHeader, Ticks};
-use evpr_core::plan::Topic;
+use evpr_core::message::{ChunkHeader, Chunks, Control, Event, MemberSetting, ServicePhase, TickHeader, TickKind, Ticks};
+use evpr_core::plan::{Delivery, Topic};
 use evpr_core::stage::{IngestPort, Outlet, StageError};
 use std::time::Duration;
 use tracing::{debug, warn};
@@ -21,6 +21,8 @@ struct Port {
     /// Settings that were in force before this process was started, until they are asked for.
     inherited: Option<Settings>,
     version: u64,
+    /// The end of the stream, once it is said.
+    end: Option<TickHeader>,
 }
 
 impl IngestPort for Port {
@@ -44,6 +46,9 @@ impl IngestPort for Port {
     }
 
     fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError> {
+        if header.kind == TickKind::End as u32 {
+            self.end = Some(header);
+        }
         self.ticks.emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
     }
 
@@ -106,7 +111,7 @@ pub fn run_ingest(
     let ticks = ctx.sender(&Topic::Ticks, 2)?;
     let control = ctx.receiver(&Topic::Control)?;
     let inherited = ctx.folder.read_settings()?;
-    let mut port = Port { ctx, chunks, ticks, control, inherited, version: 0 };
+    let mut port = Port { ctx, chunks, ticks, control, inherited, version: 0, end: None };
     port.ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!("ready");
     let outcome = work(&mut port);
@@ -115,9 +120,14 @@ pub fn run_ingest(
     let set = wait_set()?;
     let waiter = Waiter::new(&set, vec![&port.ctx.wake])?;
     // A failed source has sent its end too; what came before it is answered before the failure is reported.
+    let latest = port.ctx.plan.delivery == Delivery::Latest;
     while port.ctx.stop.count() <= stopped_by {
         waiter.wait(HEARTBEAT)?;
         port.ctx.telemetry.beat()?;
+        // In latest delivery it may have been lost like any other message.
+        if let Some(end) = port.end.filter(|_| latest) {
+            port.ticks.emit(end, 0, &mut |_| {}).map_err(|e| RuntimeError::Stage(e.to_string()))?;
+        }
     }
     match outcome {
         Ok(()) | Err(StageError::Stopped) => Ok(()),

@@ -159,7 +159,7 @@ impl Supervisor {
         let lock = folder.lock()?;
         let swept = folder.sweep();
         if swept > 0 {
-            info!("removed {swept} files that an earlier run of this instance had left in shared memory");
+            warn!("an earlier run of this instance was cut short; removed the {swept} files it had left in shared memory");
         }
         shm::check(&plan)?;
         let run_id = now_ns() ^ (u64::from(std::process::id()) << 40);
