@@ -22,7 +22,7 @@ pub use domain::{RunFolder, RunSpec};
 pub use run::{Identity, ServiceContext, run_ingest, run_sink, run_stage};
 pub use shm::{ShmRoom, room};
 pub use stop::Stop;
-pub use supervise::{Hooks, Outcome, Progress, RunSummary, ServiceReport, Spawn, Supervisor};
+pub use supervise::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport, Spawn, Supervisor};
 
 /// What can go wrong around the stages: one line saying what was wrong and what to do.
 #[derive(Debug, thiserror::Error)]

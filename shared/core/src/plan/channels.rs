@@ -153,7 +153,8 @@ impl Plan {
         let rows_per_tick = windows * self.reconstructions.len();
         for e in &self.extractors {
             let header = size_of::<DescriptorHeader>();
-            let buffer = (2 * rows_per_tick).max(4);
+            // Rows are small: room for several ticks of them, so that a sink that computes loses none.
+            let buffer = if lossless { (2 * rows_per_tick).max(4) } else { (4 * rows_per_tick).max(64) };
             add(
                 Topic::Descriptors(e.id.clone()),
                 e.dim,
@@ -167,6 +168,7 @@ impl Plan {
         }
         let members = self.members.len().max(1);
         let header = size_of::<TickHeader>();
+        let buffer = if lossless { 64 } else { 512 };
         add(
             Topic::Ticks,
             members,
@@ -174,7 +176,7 @@ impl Plan {
             header,
             1,
             stages + sinks + 1,
-            64,
+            buffer,
             lossless,
         );
         if self.map.is_some() {

@@ -130,8 +130,8 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
             let stats = &mut ctx.telemetry.stats;
             stats.next_tick = sink.next_tick();
             let settled = sink.next_tick() - before;
-            if settled > 0 {
-                stats.processing.record(now_ns().saturating_sub(started) / settled);
+            if let Some(each_ns) = now_ns().saturating_sub(started).checked_div(settled) {
+                stats.processing.record(each_ns);
                 stats.emitted += settled;
             }
             ctx.telemetry.beat()?;

@@ -83,6 +83,9 @@ pub struct RunSummary {
     pub services: Vec<ServiceReport>,
 }
 
+/// Makes the command line of one process.
+pub type CommandLine = Box<dyn Fn(&Service, &Spawn) -> Command>;
+
 /// What the caller hears while the graph runs.
 pub trait Hooks {
     /// One answer, in order of ticks, each tick once.
@@ -111,7 +114,7 @@ enum State {
 pub struct Supervisor {
     plan: Plan,
     folder: RunFolder,
-    command: Box<dyn Fn(&Service, &Spawn) -> Command>,
+    command: CommandLine,
     processes: Vec<Process>,
     state: State,
     epoch: u32,
@@ -154,7 +157,7 @@ impl Supervisor {
     pub fn new(
         plan: Plan,
         folder: RunFolder,
-        command: Box<dyn Fn(&Service, &Spawn) -> Command>,
+        command: CommandLine,
     ) -> Result<Self, RuntimeError> {
         let lock = folder.lock()?;
         let swept = folder.sweep();

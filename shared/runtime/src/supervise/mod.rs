@@ -13,7 +13,7 @@ mod graph;
 mod members;
 mod process;
 
-pub use graph::{Hooks, Outcome, Progress, RunSummary, ServiceReport, Supervisor};
+pub use graph::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport, Supervisor};
 
 /// What a process is told on its command line, beside the run folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
