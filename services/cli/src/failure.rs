@@ -3,6 +3,9 @@
 use std::fmt::Display;
 use std::process::ExitCode;
 
+/// Most lines that are printed: a file that is no configuration at all has a mistake in each of its lines.
+const MAX_LINES: usize = 50;
+
 /// Why a command failed.
 #[derive(Debug)]
 pub(crate) struct Failure {
@@ -28,8 +31,12 @@ impl Failure {
 
     /// Prints the lines and gives the exit code.
     pub(crate) fn report(self) -> ExitCode {
-        for line in self.lines.iter().flat_map(|text| text.lines()) {
+        let lines: Vec<&str> = self.lines.iter().flat_map(|text| text.lines()).collect();
+        for line in lines.iter().take(MAX_LINES) {
             eprintln!("error: {line}");
+        }
+        if let Some(more) = lines.len().checked_sub(MAX_LINES).filter(|more| *more > 0) {
+            eprintln!("error: and {more} more");
         }
         ExitCode::from(self.code)
     }

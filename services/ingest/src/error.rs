@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
     /// There is no such file.
-    #[error("{}: there is no such file; check source.path", path.display())]
+    #[error("{}: there is no such file; check the path", path.display())]
     Missing {
         /// The recording.
         path: PathBuf,

@@ -256,15 +256,14 @@ fn without_resuming_nothing_of_an_earlier_run_is_touched() {
 }
 
 #[test]
-fn a_recording_without_a_tick_is_an_error_and_leaves_nothing() {
+fn a_recording_without_a_tick_leaves_nothing() {
     let bench = Bench::new(Delivery::Lossless);
     let mut r = bench.start(false);
     tick_of(&mut r, 0, TickKind::Open, &[0, 1]);
     tick_of(&mut r, 0, TickKind::End, &[]);
     settle(&mut r, 0);
     assert!(r.finished());
-    let error = r.close().unwrap_err();
-    assert!(matches!(&error, StageError::Fatal(m) if m.contains("nothing was recorded: no tick (1ms)")));
+    r.close().unwrap();
     assert_eq!(std::fs::read_dir(bench.dir.path()).unwrap().count(), 0);
     r.close().unwrap();
 }

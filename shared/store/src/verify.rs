@@ -1,7 +1,7 @@
 //! Looks at every byte of a traverse.
 
 use crate::error::StoreError;
-use crate::layout::{COMMITS, TICKS};
+use crate::layout::{self, COMMITS, TICKS};
 use crate::traverse::{MemberRows, check_tick_count, read_head};
 use std::path::Path;
 
@@ -72,7 +72,7 @@ pub fn verify(path: &Path) -> Result<VerifySummary, StoreError> {
     let mut members = Vec::new();
     for entry in &manifest.members {
         match MemberRows::open(path, entry, manifest.ticks) {
-            Ok(rows) => members.push(look_at(&entry.name, &rows, &mut problems)),
+            Ok(rows) => members.push(look_at(path, &entry.name, &rows, &mut problems)),
             Err(e) => problems.push(e.to_string()),
         }
     }
@@ -85,7 +85,7 @@ pub fn verify(path: &Path) -> Result<VerifySummary, StoreError> {
 }
 
 /// Looks at all rows of a member.
-fn look_at(name: &str, rows: &MemberRows, problems: &mut Vec<String>) -> MemberSummary {
+fn look_at(path: &Path, name: &str, rows: &MemberRows, problems: &mut Vec<String>) -> MemberSummary {
     let mut norms: Vec<(usize, f64)> = Vec::new();
     let (mut not_finite, mut not_zero) = (Vec::new(), Vec::new());
     let each = rows.rows().chunks_exact(rows.dim().max(1)).zip(rows.present());
@@ -111,7 +111,8 @@ fn look_at(name: &str, rows: &MemberRows, problems: &mut Vec<String>) -> MemberS
     ] {
         if let Some(first) = ticks.first() {
             problems.push(format!(
-                "member {name}: {} {what}, the first at tick {first}",
+                "{}: {} {what}, the first at tick {first}",
+                layout::rows_file(path, name).display(),
                 ticks.len()
             ));
         }

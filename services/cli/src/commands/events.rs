@@ -210,14 +210,16 @@ fn reconstruct(args: &ReconstructArgs) -> Result<ExitCode, Failure> {
     };
     let stop = evpr_runtime::Stop::new();
     let ingest = evpr_ingest::Ingest::new(&plan, 0, 1, stop.signal().clone())?;
-    ingest.run(&mut chain)?;
+    let outcome = ingest.run(&mut chain);
     chain.bar.finish_and_clear();
+    // A recording that fails in its middle has an end too: the array then holds the ticks before.
     let ticks = chain.end.unwrap_or(0);
     chain
         .out
         .writer
         .finish(ticks)
         .map_err(|e| Failure::new(format!("cannot write {}: {e}", args.out.display())))?;
+    outcome?;
     if ticks == 0 {
         return Err(Failure::new(format!(
             "{} is shorter than one tick of {}; there is no frame to write",

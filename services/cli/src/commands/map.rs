@@ -26,6 +26,10 @@ fn build(args: &MapBuildArgs) -> Result<ExitCode, Failure> {
     }
     let plan = catalog::plan(&args.graph.config.config, &overrides(&args.graph, &None, &Some(args.out.clone())))?;
     let code = supervise(plan, None, args.graph.quiet, "mapping")?;
+    if !args.out.exists() {
+        eprintln!("{}: stopped before the first tick was complete; there is no map", args.out.display());
+        return Ok(code);
+    }
     let map = Traverse::open(&args.out)?;
     if !args.graph.quiet {
         eprintln!("{}: {} ticks, {} members", args.out.display(), map.len(), map.manifest().members.len());
@@ -66,8 +70,7 @@ fn verify(args: &MapArgs) -> Result<ExitCode, Failure> {
     if summary.problems.is_empty() {
         return Ok(ExitCode::SUCCESS);
     }
-    let lines: Vec<String> = summary.problems.iter().map(|p| format!("{}: {p}", args.path.display())).collect();
-    Err(Failure::new(lines.join("\n")))
+    Err(Failure::new(summary.problems.join("\n")))
 }
 
 fn repair(args: &MapArgs) -> Result<ExitCode, Failure> {

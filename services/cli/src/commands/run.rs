@@ -9,12 +9,13 @@ use crate::{LOG_VARIABLE, QUIET_LOG};
 use evpr_core::Plan;
 use evpr_core::config::Overrides;
 use evpr_core::message::{Candidate, MatchHeader};
-use evpr_core::plan::{Delivery, Service};
+use evpr_core::plan::{Delivery, Service, ServiceKind};
 use evpr_runtime::{Hooks, Outcome, Progress, RunFolder, RunSummary, Spawn, Supervisor};
 use indicatif::ProgressBar;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
+use tracing::warn;
 
 /// Ctrl-C.
 const EXIT_INTERRUPTED: u8 = 130;
@@ -102,10 +103,27 @@ pub(crate) fn supervise(
     if !quiet {
         summarise(&summary);
     }
+    conclude(&hooks.plan, summary)
+}
+
+/// What the run's end means for who started it.
+fn conclude(plan: &Plan, summary: RunSummary) -> Result<ExitCode, Failure> {
+    let recorded = summary.services.iter().find(|s| s.kind == ServiceKind::Record).map_or(0, |s| s.stats.next_tick);
     match summary.outcome {
+        Outcome::Finished if summary.answers.max(recorded) == 0 => Err(Failure::new(format!(
+            "{}: no tick ({}) is complete, so there is nothing to {}; use a longer recording, or a shorter tick",
+            plan.source.path.display(),
+            plan.slicing.tick_id(),
+            if plan.map.is_some() { "match" } else { "record" }
+        ))),
         Outcome::Finished | Outcome::Stopped => Ok(ExitCode::SUCCESS),
         Outcome::Interrupted => Ok(ExitCode::from(EXIT_INTERRUPTED)),
-        Outcome::Failed => Err(Failure::said_already()),
+        Outcome::Failed => {
+            if let Some(path) = plan.record.as_ref().filter(|path| recorded > 0 && path.exists()) {
+                warn!("{}: the {recorded} ticks before the failure are kept", path.display());
+            }
+            Err(summary.failure.map_or_else(Failure::said_already, Failure::new))
+        }
     }
 }
 

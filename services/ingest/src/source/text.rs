@@ -266,7 +266,7 @@ fn event(fields: &[&[u8]], columns: Columns, unit_digits: u32) -> Result<RawEven
     let time = field(columns.t);
     let t_ns = parse_ns(time, unit_digits).map_err(|e| {
         let why = match e {
-            DecimalError::Garbage => "is not a decimal number",
+            DecimalError::Garbage => "is not a decimal number; correct the line or leave it out",
             DecimalError::Negative => "is negative",
             DecimalError::TooLarge => "lies beyond the year 2262; check source.time_unit",
         };

@@ -121,7 +121,7 @@ pub fn run_ingest(
     let waiter = Waiter::new(&set, vec![&port.ctx.wake])?;
     // A failed source has sent its end too; what came before it is answered before the failure is reported.
     let latest = port.ctx.plan.delivery == Delivery::Latest;
-    while port.ctx.stop.count() <= stopped_by {
+    while port.ctx.stop.count() <= stopped_by.min(1) {
         waiter.wait(HEARTBEAT)?;
         port.ctx.telemetry.beat()?;
         // In latest delivery it may have been lost like any other message.

@@ -66,6 +66,8 @@ pub struct Progress {
 pub struct ServiceReport {
     /// Its name.
     pub name: String,
+    /// Its kind.
+    pub kind: ServiceKind,
     /// Restarts after deaths.
     pub restarts: u64,
     /// Counters of its last incarnation.
@@ -79,6 +81,8 @@ pub struct RunSummary {
     pub outcome: Outcome,
     /// Ticks answered.
     pub answers: u64,
+    /// Why it failed, in one line; `None` where the process that failed has said so itself.
+    pub failure: Option<String>,
     /// Per process.
     pub services: Vec<ServiceReport>,
 }
@@ -121,6 +125,7 @@ pub struct Supervisor {
     next_answer: u64,
     answers: u64,
     failed: bool,
+    failure: Option<String>,
     members: Members,
     lifecycle_version: u64,
     last_cleanup: Instant,
@@ -204,6 +209,7 @@ impl Supervisor {
             next_answer: 0,
             answers: 0,
             failed: false,
+            failure: None,
             members,
             lifecycle_version: 0,
             last_cleanup: Instant::now(),
@@ -238,18 +244,20 @@ impl Supervisor {
         self.clean_up_nodes();
         let services = self.processes.iter().map(|p| ServiceReport {
             name: p.service.name.clone(),
+            kind: p.service.kind,
             restarts: p.restarts,
             stats: p.stats,
         });
         let services = services.collect();
         let answers = self.answers;
+        let failure = self.failure.take();
         let Self { folder, ports, wake, control, _signals, _held, node, _lock, .. } = self;
         drop((control, ports, wake, _signals, _held));
         drop(node);
         folder.sweep();
         folder.remove();
         drop(_lock);
-        Ok(RunSummary { outcome: outcome?, answers, services })
+        Ok(RunSummary { outcome: outcome?, answers, failure, services })
     }
 
     fn supervise(&mut self, hooks: &mut dyn Hooks) -> Result<Outcome, RuntimeError> {
@@ -343,9 +351,7 @@ impl Supervisor {
             self.answers += 1;
             let count = (header.candidates as usize).min(message.payload().len());
             if let Err(line) = hooks.answer(header, &message.payload()[..count]) {
-                if !self.failed {
-                    tracing::error!("{line}");
-                }
+                self.failure.get_or_insert(line);
                 self.failed = true;
                 self.state = State::Stopping;
             }
@@ -435,7 +441,7 @@ impl Supervisor {
                 }
             }
             None if process.is_essential() => {
-                tracing::error!("{name} died too often ({status}); without it the run cannot go on");
+                self.failure = Some(format!("{name} died too often ({status}); without it the run cannot go on"));
                 self.failed = true;
                 self.state = State::Stopping;
             }
@@ -576,6 +582,10 @@ impl Supervisor {
             let deadline = Instant::now() + patience;
             for process in self.processes.iter().filter(|p| p.service.kind == kind) {
                 process.signal(Signal::SIGTERM);
+                // Ingest takes one request as a wish to end the stream in good order, and stays until the next.
+                if kind == ServiceKind::Ingest && !process.in_phase(ServicePhase::Done) {
+                    process.signal(Signal::SIGINT);
+                }
             }
             let mut killed = false;
             loop {

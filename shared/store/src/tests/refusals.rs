@@ -267,8 +267,8 @@ fn verifying_lists_every_problem() {
         "tick 2 ends before it starts",
         "tick 2 starts before the one before it",
         "it holds a commits.bin",
-        "member m0/x: 1 rows have numbers that are not finite, the first at tick 0",
-        "member m1/x: 1 rows are not zero though they are marked absent, the first at tick 0",
+        "map/rows/m0/x.npy: 1 rows have numbers that are not finite, the first at tick 0",
+        "map/rows/m1/x.npy: 1 rows are not zero though they are marked absent, the first at tick 0",
     ];
     assert_eq!(problems.len(), expected.len(), "{problems:?}");
     for (problem, words) in problems.iter().zip(expected) {
@@ -294,7 +294,8 @@ fn verifying_finds_the_row_that_is_not_normalised() {
     }
     writer.close().unwrap();
     let checked = verify(&path).unwrap();
-    let expected = "member m0/x: 1 rows do not have length 1 (L2), unlike the others, the first at tick 7";
+    let words = "1 rows do not have length 1 (L2), unlike the others, the first at tick 7";
+    let expected = format!("{}: {words}", path.join("rows/m0/x.npy").display());
     assert_eq!(checked.problems, [expected]);
     assert!((checked.members[0].min_norm - 0.5).abs() < 1e-6);
 }
