@@ -120,8 +120,38 @@ def image(seed, height, width, channels):
     return out
 
 
+def hog(frame, height=32, width=48, reach=4):
+    """The extractor of this name, from its definition: every sum over a neighbourhood is one over shifted copies."""
+    small = oracle.area_resize(oracle.grey(frame), height, width)
+    small = (small - small.mean()) / (small.std() + 1e-6)
+
+    def local_mean(a):
+        inside = np.zeros((height + 2 * reach, width + 2 * reach))
+        values, ones = inside.copy(), inside
+        values[reach : reach + height, reach : reach + width] = a
+        ones[reach : reach + height, reach : reach + width] = 1
+        squares = [np.lib.stride_tricks.sliding_window_view(v, (2 * reach + 1, 2 * reach + 1)) for v in (values, ones)]
+        return squares[0].sum((2, 3)) / squares[1].sum((2, 3))
+
+    centred = small - local_mean(small)
+    local = centred / (np.sqrt(local_mean(centred**2)) + 0.3)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(local, 2, mode="symmetric"), (5, 5))
+    v, u = np.mgrid[-2:3, -2:3]
+    responses = []
+    for angle in np.arange(8) * np.pi / 4:
+        weights = (u * np.cos(angle) + v * np.sin(angle)) * np.exp(-0.5 * (u**2 + v**2))
+        responses.append(np.maximum(0, np.einsum("yxvu,vu->yx", around, weights / np.abs(weights).sum())))
+    cells = [np.stack([oracle.area_resize(r, *grid) for r in responses], -1) for grid in ((8, 10), (2, 3))]
+    cells = np.concatenate([c.reshape(-1, 8) for c in cells])
+    row = (cells / (np.linalg.norm(cells, axis=1, keepdims=True) + 0.01)).ravel()
+    return oracle.l2(row - row.mean())
+
+
 # name: (seed, height, width, channels, extractor)
 ROWS = {
+    "hog_upscaled": (18, 10, 13, 3, hog),
+    "hog_davis": (19, 260, 346, 3, hog),
+    "hog_hd": (20, 720, 1280, 1, hog),
     "patch_norm_small": (11, 24, 32, 1, lambda f: oracle.patch_norm(f, side=8, patch=4)),
     "patch_norm_upscaled": (12, 10, 13, 3, lambda f: oracle.patch_norm(f, side=16, patch=2)),
     "patch_norm_davis": (13, 260, 346, 3, oracle.patch_norm),

@@ -5,6 +5,7 @@
 //! driver's affair.
 
 mod driver;
+mod hog;
 mod kind;
 mod normalise;
 mod patch_norm;

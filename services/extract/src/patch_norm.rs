@@ -33,7 +33,7 @@ impl PatchNorm {
         Self {
             side,
             patch,
-            resize: AreaResize::new(sensor, side, side),
+            resize: AreaResize::new((sensor.height, sensor.width), (side, side)),
             small: vec![0.0; side * side],
         }
     }

@@ -32,7 +32,7 @@ impl RawPixels {
         );
         Self {
             log1p: params.text("transform") == "log1p",
-            resize: AreaResize::new(sensor, height, width),
+            resize: AreaResize::new((sensor.height, sensor.width), (height, width)),
             small: vec![0.0; height * width],
         }
     }

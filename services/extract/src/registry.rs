@@ -1,5 +1,6 @@
 //! The kinds there are: one row each.
 
+use crate::hog;
 use crate::kind::Make;
 use crate::patch_norm::PatchNorm;
 use crate::raw_pixels::RawPixels;
@@ -26,7 +27,7 @@ const fn pixels(name: &'static str, default: i64, doc: &'static str) -> ParamInf
     }
 }
 
-const ROWS: [Row; 2] = [
+const ROWS: [Row; 3] = [
     Row {
         kind: ExtractorKind {
             name: "patch_norm",
@@ -58,6 +59,15 @@ const ROWS: [Row; 2] = [
             dim: RawPixels::dim,
         },
         make: |sensor, params| Box::new(RawPixels::new(sensor, params)),
+    },
+    Row {
+        kind: ExtractorKind {
+            name: "hog",
+            doc: "edges of 8 directions in 8×10 and 2×3 cells of a small image; stands shifts, light and noise",
+            params: &[],
+            dim: |_| Ok(hog::DIM),
+        },
+        make: |sensor, _| Box::new(hog::Hog::new(sensor)),
     },
 ];
 
@@ -104,14 +114,14 @@ mod tests {
         assert!(find("no_such_kind").is_none());
         assert_eq!(
             kinds().iter().map(|k| (k.dim)(&defaults(k))).collect::<Vec<_>>(),
-            [Ok(1024), Ok(768)]
+            [Ok(1024), Ok(768), Ok(688)]
         );
     }
 
     #[test]
     fn a_patch_must_divide_the_side() {
-        let kind = &kinds()[0];
-        let mut params = defaults(kind);
+        let kind = find("patch_norm").unwrap().kind;
+        let mut params = defaults(&kind);
         params.0.insert("patch".to_owned(), ParamValue::Integer(7));
         assert!(
             (kind.dim)(&params)

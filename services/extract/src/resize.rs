@@ -2,7 +2,6 @@
 
 use crate::kind::FrameView;
 use evpr_core::message::ChannelOrder;
-use evpr_core::plan::Sensor;
 
 /// Weights along one axis: output cell i covers `[i, i+1) · n_in / n_out` of the input, and input pixel j counts with
 /// the length of its overlap over the length of the cell.
@@ -40,7 +39,8 @@ impl Axis {
     }
 }
 
-/// Turns frames of one size into small grey images, in f64, by the mean over the area of each output pixel.
+/// Shrinks (or enlarges) images of one size, in f64, by the mean over the area of each output pixel. Where it shrinks
+/// this is its own anti-aliasing filter: every input pixel counts, with one and the same total weight.
 #[derive(Debug)]
 pub(crate) struct AreaResize {
     width: usize,
@@ -51,25 +51,45 @@ pub(crate) struct AreaResize {
 }
 
 impl AreaResize {
-    /// From the sensor's size to `height` × `width`, all above 0.
-    pub(crate) fn new(sensor: Sensor, height: usize, width: usize) -> Self {
+    /// Between two sizes (height, width), all above 0.
+    pub(crate) fn new(from: (usize, usize), to: (usize, usize)) -> Self {
         Self {
-            width: sensor.width,
-            rows: Axis::new(sensor.height, height),
-            columns: Axis::new(sensor.width, width),
-            sum: vec![0.0; sensor.width],
+            width: from.1,
+            rows: Axis::new(from.0, to.0),
+            columns: Axis::new(from.1, to.1),
+            sum: vec![0.0; from.1],
         }
     }
 
-    /// Writes the small image, row-major, not rounded.
+    /// Writes the small grey image of a frame, row-major, not rounded.
     pub(crate) fn apply(&mut self, frame: FrameView<'_>, small: &mut [f64]) {
-        let stride = self.width * frame.channel_order.channels();
+        let order = frame.channel_order;
+        let rows = frame.pixels.chunks_exact(self.width * order.channels());
+        self.reduce(rows, |sum, weight, row| add_grey(sum, weight, row, order), small);
+    }
+
+    /// The same for a plane of numbers.
+    pub(crate) fn apply_plane(&mut self, plane: &[f64], small: &mut [f64]) {
+        let add = |sum: &mut [f64], weight: f64, row: &[f64]| {
+            for (sum, value) in sum.iter_mut().zip(row) {
+                *sum += weight * value;
+            }
+        };
+        self.reduce(plane.chunks_exact(self.width), add, small);
+    }
+
+    /// `add` adds a row, times a weight, to a sum.
+    fn reduce<R>(
+        &mut self,
+        rows: impl Iterator<Item = R> + Clone,
+        add: impl Fn(&mut [f64], f64, R),
+        small: &mut [f64],
+    ) {
         let mut small = small.iter_mut();
         for (first, weights) in self.rows.cells() {
             self.sum.fill(0.0);
-            let rows = frame.pixels.chunks_exact(stride).skip(first);
-            for (weight, row) in weights.iter().zip(rows) {
-                add_grey(&mut self.sum, *weight, row, frame.channel_order);
+            for (weight, row) in weights.iter().zip(rows.clone().skip(first)) {
+                add(&mut self.sum, *weight, row);
             }
             for ((first, weights), pixel) in self.columns.cells().zip(&mut small) {
                 let under = self.sum[first..].iter().zip(weights);
@@ -108,16 +128,12 @@ mod tests {
     use proptest::prelude::*;
 
     fn resize(order: ChannelOrder, from: (usize, usize), to: (usize, usize), pixels: &[u8]) -> Vec<f64> {
-        let sensor = Sensor {
-            height: from.0,
-            width: from.1,
-        };
         let mut small = vec![f64::NAN; to.0 * to.1];
         let frame = FrameView {
             channel_order: order,
             pixels,
         };
-        AreaResize::new(sensor, to.0, to.1).apply(frame, &mut small);
+        AreaResize::new(from, to).apply(frame, &mut small);
         small
     }
 
@@ -127,6 +143,15 @@ mod tests {
         assert_eq!(resize(g, (2, 2), (1, 1), &[1, 2, 3, 4]), [2.5]);
         assert_eq!(resize(g, (1, 3), (1, 2), &[30, 60, 90]), [40.0, 80.0]);
         assert_eq!(resize(g, (1, 2), (1, 4), &[10, 20]), [10.0, 10.0, 20.0, 20.0]);
+    }
+
+    #[test]
+    fn a_plane_is_as_a_grey_frame() {
+        let pixels = [3, 1, 4, 1, 5, 9, 2, 6, 5, 3, 5, 8];
+        let plane: Vec<f64> = pixels.iter().copied().map(f64::from).collect();
+        let mut small = [f64::NAN; 6];
+        AreaResize::new((3, 4), (2, 3)).apply_plane(&plane, &mut small);
+        assert_eq!(resize(ChannelOrder::Grey, (3, 4), (2, 3), &pixels), small);
     }
 
     #[test]

@@ -106,6 +106,9 @@ fn log1p() -> ParamValue {
 #[test]
 fn rows_equal_the_golden_ones() {
     use ChannelOrder::{Grey, OffOnZero, OnOffZero};
+    check("hog_upscaled", 18, (10, 13), OffOnZero, &[]);
+    check("hog_davis", 19, (260, 346), OnOffZero, &[]);
+    check("hog_hd", 20, (720, 1280), Grey, &[]);
     check(
         "patch_norm_small",
         11,
@@ -138,6 +141,7 @@ const ORDERS: [ChannelOrder; 4] = [
 /// All kinds, with parameters of every sort.
 fn plans(sensor: Sensor, order: ChannelOrder) -> Vec<Plan> {
     vec![
+        plan("hog", &[], sensor, order),
         plan("patch_norm", &[], sensor, order),
         plan(
             "patch_norm",
@@ -187,7 +191,7 @@ proptest! {
         let pixels: Vec<u8> = image(seed, sensor, 1).iter().map(|v| v / 2).collect();
         let brighter: Vec<u8> = pixels.iter().map(|v| v + shift).collect();
         let order = ChannelOrder::Grey;
-        for plan in plans(sensor, order).into_iter().take(4) {
+        for plan in plans(sensor, order).into_iter().take(5) {
             let (a, b) = (row(&plan, order, &pixels), row(&plan, order, &brighter));
             prop_assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-6));
         }

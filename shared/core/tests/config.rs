@@ -88,14 +88,14 @@ fn ensemble_states_the_defaults() {
         (ensemble.slicing.align, ensemble.slicing.origin),
         (minimal.slicing.align, minimal.slicing.origin)
     );
-    assert_eq!(ensemble.members.len(), 24);
-    assert_eq!(ensemble.enabled_members().len(), 23);
+    assert_eq!(ensemble.members.len(), 36);
+    assert_eq!(ensemble.enabled_members().len(), 35);
     assert_eq!(
         &names(&ensemble)[..3],
         [
             "event_count@100ms/patch_norm",
             "event_count@100ms/raw_pixels",
-            "event_count@250ms/patch_norm",
+            "event_count@100ms/hog",
         ]
     );
 }

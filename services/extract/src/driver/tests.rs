@@ -211,7 +211,7 @@ fn plans_that_cannot_be_are_refused() {
         change(&mut plan);
         build(&plan, 0).unwrap_err().to_string()
     };
-    let unknown = refused(|p| p.extractors[0].kind = "hog".to_owned());
+    let unknown = refused(|p| p.extractors[0].kind = "no_such_kind".to_owned());
     for kind in &KINDS {
         assert!(unknown.contains(kind.name), "{unknown}");
     }

@@ -87,10 +87,16 @@ const EXTRACTORS: &[ExtractorKind] = &[
         ],
         dim: raw_pixels_dim,
     },
+    ExtractorKind {
+        name: "hog",
+        doc: "Edges per direction and cell.",
+        params: &[],
+        dim: |_| Ok(688),
+    },
 ];
 
 /// Kinds named like those of the stages' crates: `event_count`, `event_count_no_polarity`, `time_surface`,
-/// `patch_norm` and `raw_pixels`.
+/// `patch_norm`, `raw_pixels` and `hog`.
 #[doc(hidden)]
 pub fn test_catalog() -> Catalog {
     Catalog {
