@@ -8,12 +8,8 @@ use std::path::{Path, PathBuf};
 
 fn source(path: impl Into<PathBuf>, time_unit: TimeUnit) -> Source {
     Source {
-        kind: "file".to_owned(),
-        path: path.into(),
-        pace: Pace::Unpaced,
         time_unit,
-        on_backward_time: OnBadEvent::Error,
-        on_outside_sensor: OnBadEvent::Error,
+        ..Source::file(path)
     }
 }
 

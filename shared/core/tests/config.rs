@@ -25,8 +25,11 @@ fn configurations(folder: &str) -> Vec<PathBuf> {
 fn plan(path: &Path) -> Plan {
     let text = std::fs::read_to_string(path).unwrap();
     let config = parse(&text, &path.display().to_string(), &test_catalog()).unwrap_or_else(|e| panic!("{e}"));
+    let street = config
+        .source(&Overrides::default())
+        .is_some_and(|source| source.street.is_some());
     let overrides = Overrides {
-        input: Some(PathBuf::from("input.h5")),
+        input: (!street).then(|| PathBuf::from("input.h5")),
         ..Overrides::default()
     };
     let sensor = config.sensor().unwrap_or(Sensor {

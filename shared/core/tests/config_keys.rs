@@ -3,7 +3,7 @@
 
 use evpr_core::Plan;
 use evpr_core::config::{KeyDoc, Overrides, key_reference, parse, test_catalog};
-use evpr_core::plan::Sensor;
+use evpr_core::plan::{Sensor, Source, Street};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -57,8 +57,9 @@ fn every_key_is_there_once_and_described() {
 fn the_defaults_are_what_the_reference_says() {
     let mut sections: BTreeMap<String, String> = BTreeMap::new();
     for key in keys() {
-        // A deadline means something only in latest delivery, which is not the default.
-        if let Some(default) = key.default.filter(|_| key.key != "deadline") {
+        // A deadline means something only in latest delivery, and a street's keys only with a street.
+        let means = key.key != "deadline" && key.section != "source.street";
+        if let Some(default) = key.default.filter(|_| means) {
             *sections.entry(key.section).or_default() += &format!("{} = {default}\n", key.key);
         }
     }
@@ -80,6 +81,24 @@ fn the_defaults_are_what_the_reference_says() {
         .and_then(|k| k.default)
         .unwrap();
     assert_eq!(plan(&format!("{latest}deadline = {deadline}\n")), plan(&latest));
+}
+
+#[test]
+fn the_defaults_of_the_street_are_what_the_reference_says() {
+    let stages = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
+    let short = format!("{stages}[source]\nkind = \"street\"\n");
+    let mut long = format!("{short}[source.street]\n");
+    let keys = keys().into_iter().filter(|k| k.section == "source.street");
+    let count = keys
+        .map(|k| long += &format!("{} = {}\n", k.key, k.default.unwrap()))
+        .count();
+    assert_eq!(count, 5);
+    let source = |text: &str| {
+        let config = parse(text, "x.toml", &test_catalog()).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        config.source(&Overrides::default()).unwrap()
+    };
+    assert_eq!(source(&long), source(&short));
+    assert_eq!(source(&short), Source::street(Street::default()));
 }
 
 #[test]

@@ -2,7 +2,7 @@
 #![allow(clippy::panic, clippy::unwrap_used)] // helpers of tests are tests
 
 use evpr_core::config::{Config, Overrides, parse, test_catalog};
-use evpr_core::plan::{Delivery, Pace, Sensor};
+use evpr_core::plan::{Delivery, Pace, Sensor, StreetPass};
 use std::path::PathBuf;
 
 const STAGES: &str = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
@@ -108,6 +108,38 @@ fn all_that_is_wrong_with_the_command_line_is_said_at_once() {
     assert!(
         text.starts_with("command line: --name: \"Two Words\" cannot be a name; write 1 to 20"),
         "{text}"
+    );
+}
+
+#[test]
+fn a_street_needs_no_recording_and_its_pass_may_be_given() {
+    let street =
+        config("[sensor]\nheight = 260\nwidth = 346\n[source]\nkind = \"street\"\nstreet = { seed = 7 }");
+    let plan = street.resolve(SENSOR, &Overrides::default()).unwrap();
+    let found = plan.source.street.unwrap();
+    assert_eq!(
+        (found.pass, found.seed, found.sensor),
+        (StreetPass::Day, 7, SENSOR)
+    );
+    let with_input = |input: &str| {
+        let overrides = Overrides {
+            input: Some(PathBuf::from(input)),
+            ..Overrides::default()
+        };
+        street.resolve(SENSOR, &overrides)
+    };
+    for pass in StreetPass::ALL {
+        let source = with_input(pass.name()).unwrap().source;
+        assert_eq!(
+            source.path,
+            PathBuf::from(format!("street ({}, seed 7)", pass.name()))
+        );
+        assert_eq!(source.street.unwrap().pass, pass);
+    }
+    assert_eq!(
+        with_input("nigth").unwrap_err().to_string(),
+        "command line: --input: with source.kind = \"street\", \"nigth\" is not known here; did you mean \"night\"? \
+         write \"day\", \"day2\" or \"night\""
     );
 }
 

@@ -8,7 +8,7 @@ use crate::progress;
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
 use evpr_core::message::{ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader, TickKind};
-use evpr_core::plan::{Align, OnBadEvent, Origin, Pace, Sensor, Source, TimeUnit};
+use evpr_core::plan::{Align, Origin, Sensor, Source, TimeUnit};
 use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_core::time::format_duration;
 use evpr_ingest::RecordingInfo;
@@ -23,17 +23,6 @@ pub(crate) fn events(command: EventsCommand) -> Result<ExitCode, Failure> {
     match command {
         EventsCommand::Info(args) => info(&args),
         EventsCommand::Reconstruct(args) => reconstruct(&args),
-    }
-}
-
-fn source(path: &Path) -> Source {
-    Source {
-        kind: "file".to_owned(),
-        path: path.to_owned(),
-        pace: Pace::Unpaced,
-        time_unit: TimeUnit::Auto,
-        on_backward_time: OnBadEvent::Error,
-        on_outside_sensor: OnBadEvent::Error,
     }
 }
 
@@ -108,7 +97,7 @@ fn parse_sensor(text: &str) -> Result<Sensor, Failure> {
 
 fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
     let given = args.sensor.as_deref().map(parse_sensor).transpose()?;
-    let source = source(&args.input);
+    let source = Source::file(&args.input);
     let sensor = evpr_ingest::probe(&source)?.or(given).ok_or_else(|| {
         Failure::new(format!(
             "{} does not tell the sensor's size; give it with --sensor HEIGHTxWIDTH",

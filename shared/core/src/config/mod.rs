@@ -10,6 +10,7 @@ mod reader;
 mod schema;
 mod sink;
 mod slicing;
+mod source;
 mod stages;
 mod syntax;
 mod test_catalog;
@@ -20,15 +21,17 @@ pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
     ALIGNS, DELIVERIES, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, RULES, SEQUENCE_METHODS, SIMILARITIES,
-    SLICE_MODES, TIME_UNITS, Words, parse_origin, parse_pace,
+    SLICE_MODES, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
 };
 
 use crate::plan::{
-    Catalog, Delivery, Extractor, Fuse, Member, Pace, Plan, Reconstruction, Sensor, Slicing, Source,
+    Catalog, Delivery, Extractor, Fuse, Member, Pace, Plan, Reconstruction, Sensor, Slicing, Source, Street,
+    StreetPass,
 };
 use reader::Table;
-use schema::{RuntimeSection, SourceSection};
+use schema::RuntimeSection;
 use sink::Sink;
+use source::{SourceKind, SourceSection};
 use std::path::PathBuf;
 
 /// A checked configuration. What it leaves open is the sensor's size and the recording, where it does not name them.
@@ -58,7 +61,7 @@ struct Places {
 pub struct Overrides {
     /// `--name`: name of the instance, 1 to 20 of `a-z`, `0-9`, `_` and `-`.
     pub name: Option<String>,
-    /// `--input`: the recording.
+    /// `--input`: the recording; of a street the pass.
     pub input: Option<PathBuf>,
     /// `--pace`.
     pub pace: Option<Pace>,
@@ -108,7 +111,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
     let sensor = schema::sensor(sensor_table);
     let source_table = root.section("source");
     let source_at = source_table.below("path", source_table.at.offset);
-    let source = schema::source(source_table);
+    let source = source::source(source_table);
     let slicing = slicing::slicing(root.section("slicing"));
     let reconstructions = stages::reconstructions(&root, catalog);
     let extractors = stages::extractors(&root, catalog);
@@ -140,17 +143,36 @@ impl Config {
         self.sensor
     }
 
-    /// The source, when there is a recording to read: of the overrides or of the configuration.
+    /// The source, when there is one to read: of the overrides or of the configuration. A street whose pass the
+    /// overrides misname is that of the configuration; [`Config::resolve`] says what is wrong.
     pub fn source(&self, overrides: &Overrides) -> Option<Source> {
-        let path = overrides.input.clone().or_else(|| self.source.path.clone())?;
+        let source = match self.source.kind {
+            SourceKind::File => Source::file(overrides.input.clone().or_else(|| self.source.path.clone())?),
+            SourceKind::Street => Source::street(Street {
+                pass: self
+                    .pass(overrides)
+                    .ok()
+                    .flatten()
+                    .unwrap_or(self.source.street.pass),
+                sensor: self.sensor.unwrap_or(self.source.street.sensor),
+                ..self.source.street.clone()
+            }),
+        };
         Some(Source {
-            kind: self.source.kind.clone(),
-            path,
             pace: overrides.pace.unwrap_or(self.source.pace),
             time_unit: self.source.time_unit,
             on_backward_time: self.source.on_backward_time,
             on_outside_sensor: self.source.on_outside_sensor,
+            ..source
         })
+    }
+
+    /// The pass of the street that the overrides name, if they do.
+    fn pass(&self, overrides: &Overrides) -> Result<Option<StreetPass>, String> {
+        match (&overrides.input, self.source.kind) {
+            (Some(input), SourceKind::Street) => STREET_PASSES.parse(&input.to_string_lossy()).map(Some),
+            _ => Ok(None),
+        }
     }
 
     /// How events are cut.
@@ -203,6 +225,12 @@ impl Config {
         if source.is_none() {
             let message = "is missing; write the recording's path here, or give it with --input";
             errors.push(in_file(&self.places.source, message.to_owned()));
+        }
+        if let Err(message) = self.pass(overrides) {
+            errors.push(option(
+                "--input",
+                format!("with source.kind = \"street\", {message}"),
+            ));
         }
         let name = overrides.name.as_deref().unwrap_or(&self.name);
         if let Err(message) = schema::check_name(name, schema::MAX_RUN_NAME) {

@@ -1,15 +1,11 @@
 //! The sections of the configuration: every key, with its meaning, its default and its checks, in one place.
-//! Slicing, the stanzas of stages and the members are in files of their own.
+//! The source, slicing, the stanzas of stages and the members are in files of their own.
 
 use super::reader::{Table, Value};
 use super::sink::Key;
-use super::words::{
-    DELIVERIES, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, RULES, SEQUENCE_METHODS, SIMILARITIES,
-    TIME_UNITS, Words, pace_of_factor, parse_pace,
-};
+use super::words::{DELIVERIES, RULES, SEQUENCE_METHODS, SIMILARITIES};
 use crate::message::Event;
-use crate::plan::{Delivery, Fuse, OnBadEvent, Pace, Rule, Sensor, SequenceMethod, Similarity, TimeUnit};
-use std::path::PathBuf;
+use crate::plan::{Delivery, Fuse, Rule, Sensor, SequenceMethod, Similarity};
 
 /// The longest instance name: it is part of names in shared memory and of sockets.
 pub(super) const MAX_RUN_NAME: usize = 20;
@@ -22,9 +18,6 @@ const _: () = assert!(MAX_SIDE <= Event::Y_MAX as usize + 1);
 const MAX_SEQUENCE: i64 = 1_000;
 /// The deadline when the configuration names none, ns.
 const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
-
-/// Kinds of sources.
-const SOURCE_KINDS: Words<'static, &str> = Words::new(&[("file", "file")]);
 
 pub(super) const fn key(
     name: &'static str,
@@ -114,107 +107,6 @@ pub(super) fn sensor(table: Table<'_>) -> Option<Option<Sensor>> {
     };
     table.close();
     sensor
-}
-
-/// `[source]` as written: the path may be missing.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct SourceSection {
-    pub kind: String,
-    pub path: Option<PathBuf>,
-    pub pace: Pace,
-    pub time_unit: TimeUnit,
-    pub on_backward_time: OnBadEvent,
-    pub on_outside_sensor: OnBadEvent,
-}
-
-/// `[source]`.
-pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
-    let kind = table.read(
-        key(
-            "kind",
-            "\"file\"",
-            Some("\"file\""),
-            "What events come from: a recording.",
-        ),
-        "file",
-        |v| v.word(&SOURCE_KINDS),
-    );
-    let path = table.read_optional(
-        key(
-            "path",
-            "path",
-            None,
-            "The recording, relative to the directory that evpr is started in. `--input` takes precedence.",
-        ),
-        path,
-    );
-    let pace = table.read(
-        key(
-            "pace",
-            "\"unpaced\", \"realtime\" or a number from 0.001 to 1000000",
-            Some("\"unpaced\""),
-            "How fast a recording is replayed: as fast as the graph takes it, as recorded, or so many times as fast.",
-        ),
-        Pace::Unpaced,
-        pace,
-    );
-    let time_unit = table.read(
-        key(
-            "time_unit",
-            "\"auto\", \"s\", \"ms\", \"us\" or \"ns\"",
-            Some("\"auto\""),
-            "Unit of times in text recordings; auto: a decimal point means seconds, else decided by magnitude.",
-        ),
-        TimeUnit::Auto,
-        |v| v.word(&TIME_UNITS),
-    );
-    let on_backward_time = table.read(
-        key(
-            "on_backward_time",
-            "\"error\", \"drop\" or \"clamp\"",
-            Some("\"error\""),
-            "An event earlier than its forerunner: stop, leave it out, or treat it as at the latest time so far.",
-        ),
-        OnBadEvent::Error,
-        |v| v.word(&ON_BACKWARD_TIME),
-    );
-    let on_outside_sensor = table.read(
-        key(
-            "on_outside_sensor",
-            "\"error\" or \"drop\"",
-            Some("\"error\""),
-            "An event outside the sensor: stop, or leave it out.",
-        ),
-        OnBadEvent::Error,
-        |v| v.word(&ON_OUTSIDE_SENSOR),
-    );
-    table.close();
-    Some(SourceSection {
-        kind: kind?.to_owned(),
-        path: path?,
-        pace: pace?,
-        time_unit: time_unit?,
-        on_backward_time: on_backward_time?,
-        on_outside_sensor: on_outside_sensor?,
-    })
-}
-
-fn path(value: &Value<'_>) -> Option<PathBuf> {
-    match value.text("a path in quotes, such as \"events.h5\"")? {
-        "" => value.refuse("is empty; write a path, such as \"events.h5\""),
-        text if text.contains('\0') => value.refuse("has a zero character in it; write a path"),
-        text => Some(PathBuf::from(text)),
-    }
-}
-
-fn pace(value: &Value<'_>) -> Option<Pace> {
-    match value.as_number() {
-        Some(factor) => value.accept(pace_of_factor(factor)),
-        None => {
-            let text = value.text(PACE_HELP.trim_start_matches("write "))?;
-            value.accept(parse_pace(text))
-        }
-    }
 }
 
 /// `[fuse]`.

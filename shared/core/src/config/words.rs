@@ -2,7 +2,8 @@
 //! functions as the configuration.
 
 use crate::plan::{
-    Align, Delivery, OnBadEvent, Origin, Pace, Rule, SequenceMethod, Similarity, SliceMode, TimeUnit,
+    Align, Delivery, OnBadEvent, Origin, Pace, Rule, SequenceMethod, Similarity, SliceMode, StreetPass,
+    TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -55,6 +56,12 @@ pub const ON_BACKWARD_TIME: Words<'static, OnBadEvent> = Words(&[
 /// `source.on_outside_sensor`.
 pub const ON_OUTSIDE_SENSOR: Words<'static, OnBadEvent> =
     Words(&[("error", OnBadEvent::Error), ("drop", OnBadEvent::Drop)]);
+/// `source.street.pass`.
+pub const STREET_PASSES: Words<'static, StreetPass> = Words(&[
+    ("day", StreetPass::Day),
+    ("day2", StreetPass::Day2),
+    ("night", StreetPass::Night),
+]);
 /// `fuse.similarity`.
 pub const SIMILARITIES: Words<'static, Similarity> = Words(&[
     ("l2", Similarity::L2),

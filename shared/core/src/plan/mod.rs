@@ -4,10 +4,12 @@
 mod channels;
 mod kind;
 mod slicing;
+mod source;
 
 pub use channels::{Channel, Topic};
 pub use kind::*;
 pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
+pub use source::{OnBadEvent, Pace, Source, Street, StreetPass, TimeUnit};
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -131,61 +133,6 @@ pub struct Member {
     pub enabled: bool,
     /// Its weight at the start.
     pub weight: f64,
-}
-
-/// Where events come from.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Source {
-    /// `file`.
-    pub kind: String,
-    /// The recording.
-    pub path: PathBuf,
-    /// How fast it is replayed.
-    pub pace: Pace,
-    /// Unit of times in text recordings.
-    pub time_unit: TimeUnit,
-    /// What to do with a time that goes back.
-    pub on_backward_time: OnBadEvent,
-    /// What to do with an event outside the sensor.
-    pub on_outside_sensor: OnBadEvent,
-}
-
-/// How fast a recording is replayed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Pace {
-    /// As fast as the graph takes it.
-    Unpaced,
-    /// So many times as fast as it was recorded.
-    Factor(f64),
-}
-
-/// Unit of times in text recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TimeUnit {
-    /// A decimal point means seconds, else decided by magnitude; said in the log.
-    Auto,
-    /// Seconds.
-    S,
-    /// Milliseconds.
-    Ms,
-    /// Microseconds.
-    Us,
-    /// Nanoseconds.
-    Ns,
-}
-
-/// What to do with an event that cannot be right.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum OnBadEvent {
-    /// Stop with an error that names it.
-    Error,
-    /// Leave it out and count it.
-    Drop,
-    /// Times only: treat it as at the latest time so far, and count it.
-    Clamp,
 }
 
 /// How processes hand data on.
@@ -416,14 +363,7 @@ pub fn test_plan() -> Plan {
     };
     Plan {
         name: "test".to_owned(),
-        source: Source {
-            kind: "file".to_owned(),
-            path: PathBuf::from("events.h5"),
-            pace: Pace::Unpaced,
-            time_unit: TimeUnit::Auto,
-            on_backward_time: OnBadEvent::Error,
-            on_outside_sensor: OnBadEvent::Error,
-        },
+        source: Source::file("events.h5"),
         sensor: Sensor { height: 4, width: 6 },
         slicing: Slicing {
             mode: SliceMode::Time,

@@ -1,0 +1,228 @@
+//! The section `[source]`: a recording, or the simulated street.
+
+use super::reader::{Table, Value};
+use super::schema::key;
+use super::words::{
+    ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, STREET_PASSES, TIME_UNITS, Words, pace_of_factor,
+    parse_pace,
+};
+use crate::plan::{OnBadEvent, Pace, Street, TimeUnit};
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+
+/// Kinds of sources.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SourceKind {
+    File,
+    Street,
+}
+
+const SOURCE_KINDS: Words<'static, SourceKind> =
+    Words::new(&[("file", SourceKind::File), ("street", SourceKind::Street)]);
+
+/// Lengths of a street, metres.
+const LENGTHS_M: RangeInclusive<f64> = 20.0..=5_000.0;
+/// Speeds along it, metres per second.
+const SPEEDS_M_S: RangeInclusive<f64> = 1.0..=40.0;
+/// Steps of its simulation, ns.
+const STEPS_NS: RangeInclusive<u64> = 500_000..=10_000_000;
+
+/// `[source]` as written: the path may be missing.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct SourceSection {
+    pub kind: SourceKind,
+    pub path: Option<PathBuf>,
+    pub pace: Pace,
+    pub time_unit: TimeUnit,
+    pub on_backward_time: OnBadEvent,
+    pub on_outside_sensor: OnBadEvent,
+    pub street: Street,
+}
+
+/// `[source]`.
+pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
+    let kind = table.read(
+        key(
+            "kind",
+            "\"file\" or \"street\"",
+            Some("\"file\""),
+            "What events come from: a recording, or the simulated street.",
+        ),
+        SourceKind::File,
+        |v| v.word(&SOURCE_KINDS),
+    );
+    let path = table.read_optional(
+        key(
+            "path",
+            "path",
+            None,
+            "The recording, relative to the directory that evpr is started in. `--input` takes precedence.",
+        ),
+        |v| only_with(v, kind, SourceKind::File, path),
+    );
+    let pace = table.read(
+        key(
+            "pace",
+            "\"unpaced\", \"realtime\" or a number from 0.001 to 1000000",
+            Some("\"unpaced\""),
+            "How fast a recording is replayed: as fast as the graph takes it, as recorded, or so many times as fast.",
+        ),
+        Pace::Unpaced,
+        pace,
+    );
+    let time_unit = table.read(
+        key(
+            "time_unit",
+            "\"auto\", \"s\", \"ms\", \"us\" or \"ns\"",
+            Some("\"auto\""),
+            "Unit of times in text recordings; auto: a decimal point means seconds, else decided by magnitude.",
+        ),
+        TimeUnit::Auto,
+        |v| only_with(v, kind, SourceKind::File, |v| v.word(&TIME_UNITS)),
+    );
+    let on_backward_time = table.read(
+        key(
+            "on_backward_time",
+            "\"error\", \"drop\" or \"clamp\"",
+            Some("\"error\""),
+            "An event earlier than its forerunner: stop, leave it out, or treat it as at the latest time so far.",
+        ),
+        OnBadEvent::Error,
+        |v| v.word(&ON_BACKWARD_TIME),
+    );
+    let on_outside_sensor = table.read(
+        key(
+            "on_outside_sensor",
+            "\"error\" or \"drop\"",
+            Some("\"error\""),
+            "An event outside the sensor: stop, or leave it out.",
+        ),
+        OnBadEvent::Error,
+        |v| v.word(&ON_OUTSIDE_SENSOR),
+    );
+    let street = street(table.section("street"), kind);
+    table.close();
+    Some(SourceSection {
+        kind: kind?,
+        path: path?,
+        pace: pace?,
+        time_unit: time_unit?,
+        on_backward_time: on_backward_time?,
+        on_outside_sensor: on_outside_sensor?,
+        street: street?,
+    })
+}
+
+/// `[source.street]`: its sensor is filled in later.
+fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
+    let default = Street::default();
+    let pass = table.read(
+        key(
+            "pass",
+            "\"day\", \"day2\" or \"night\"",
+            Some("\"day\""),
+            "The drive: by day, or, with half a metre of offset, other speeds and a stop, by day again or by night. \
+             `--input` takes precedence.",
+        ),
+        default.pass,
+        |v| only_with(v, kind, SourceKind::Street, |v| v.word(&STREET_PASSES)),
+    );
+    let seed = table.read(
+        key(
+            "seed",
+            "whole number from 0 to 4294967295",
+            Some("1"),
+            "What the street and the camera's pixels are drawn from: the same in all passes of one seed.",
+        ),
+        default.seed as i64,
+        |v| {
+            only_with(v, kind, SourceKind::Street, |v| {
+                v.integer(0..=i64::from(u32::MAX))
+            })
+        },
+    );
+    let length_m = table.read(
+        key(
+            "length_m",
+            "number from 20 to 5000",
+            Some("600.0"),
+            "Length of the drive, metres.",
+        ),
+        default.length_m,
+        |v| only_with(v, kind, SourceKind::Street, |v| v.number(LENGTHS_M)),
+    );
+    let speed_m_s = table.read(
+        key(
+            "speed_m_s",
+            "number from 1 to 40",
+            Some("8.0"),
+            "Speed of the pass \"day\", metres per second; the others go at 0.9 times of it, with variation.",
+        ),
+        default.speed_m_s,
+        |v| only_with(v, kind, SourceKind::Street, |v| v.number(SPEEDS_M_S)),
+    );
+    let step_ns = table.read(
+        key(
+            "step",
+            "duration from \"500us\" to \"10ms\"",
+            Some("\"4ms\""),
+            "Time between two pictures of the street; what moves by more than a pixel in it loses events.",
+        ),
+        default.step_ns,
+        |v| only_with(v, kind, SourceKind::Street, step),
+    );
+    table.close();
+    Some(Street {
+        pass: pass?,
+        seed: seed? as u64,
+        length_m: length_m?,
+        speed_m_s: speed_m_s?,
+        step_ns: step_ns?,
+        ..default
+    })
+}
+
+/// Reads a key that only one kind of source has. While the kind is not known it is read as well.
+fn only_with<'r, T>(
+    value: &Value<'r>,
+    kind: Option<SourceKind>,
+    wanted: SourceKind,
+    read: impl FnOnce(&Value<'r>) -> Option<T>,
+) -> Option<T> {
+    let (has, other) = match wanted {
+        SourceKind::File => ("street", "file"),
+        SourceKind::Street => ("file", "street"),
+    };
+    match kind {
+        Some(kind) if kind != wanted => value.refuse(format!(
+            "has no effect with source.kind = \"{has}\"; remove it, or write kind = \"{other}\""
+        )),
+        _ => read(value),
+    }
+}
+
+fn step(value: &Value<'_>) -> Option<u64> {
+    const HELP: &str = "write whole microseconds from \"500us\" to \"10ms\", such as \"4ms\"";
+    match value.duration_ns()? {
+        ns if STEPS_NS.contains(&ns) && ns % 1_000 == 0 => Some(ns),
+        _ => value.refuse(format!("cannot be the step; {HELP}")),
+    }
+}
+
+fn path(value: &Value<'_>) -> Option<PathBuf> {
+    match value.text("a path in quotes, such as \"events.h5\"")? {
+        "" => value.refuse("is empty; write a path, such as \"events.h5\""),
+        text if text.contains('\0') => value.refuse("has a zero character in it; write a path"),
+        text => Some(PathBuf::from(text)),
+    }
+}
+
+fn pace(value: &Value<'_>) -> Option<Pace> {
+    match value.as_number() {
+        Some(factor) => value.accept(pace_of_factor(factor)),
+        None => {
+            let text = value.text(PACE_HELP.trim_start_matches("write "))?;
+            value.accept(parse_pace(text))
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! Where events come from.
+
+use super::Sensor;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Where events come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    /// `file` or `street`.
+    pub kind: String,
+    /// The recording. Of a street: what it is called in messages and in traverses.
+    pub path: PathBuf,
+    /// How fast it is replayed.
+    pub pace: Pace,
+    /// Unit of times in text recordings.
+    pub time_unit: TimeUnit,
+    /// What to do with a time that goes back.
+    pub on_backward_time: OnBadEvent,
+    /// What to do with an event outside the sensor.
+    pub on_outside_sensor: OnBadEvent,
+    /// The street, when the kind is `street`.
+    pub street: Option<Street>,
+}
+
+impl Source {
+    /// A recording, with the defaults: unpaced, and everything that cannot be right is an error.
+    pub fn file(path: impl Into<PathBuf>) -> Self {
+        Self {
+            kind: "file".to_owned(),
+            path: path.into(),
+            pace: Pace::Unpaced,
+            time_unit: TimeUnit::Auto,
+            on_backward_time: OnBadEvent::Error,
+            on_outside_sensor: OnBadEvent::Error,
+            street: None,
+        }
+    }
+
+    /// A simulated street, with the defaults as for [`Source::file`].
+    pub fn street(street: Street) -> Self {
+        let path = format!("street ({}, seed {})", street.pass.name(), street.seed);
+        Self {
+            kind: "street".to_owned(),
+            street: Some(street),
+            ..Self::file(path)
+        }
+    }
+}
+
+/// A simulated street, and a drive along it. Equal values give equal events; equal seeds give the same street and the
+/// same camera, whatever the pass.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Street {
+    /// The drive.
+    pub pass: StreetPass,
+    /// What houses, trees and the camera's pixels are drawn from.
+    pub seed: u64,
+    /// Length of the drive, metres.
+    pub length_m: f64,
+    /// Speed of the first pass by day, metres per second; the others are slower and not steady.
+    pub speed_m_s: f64,
+    /// Time between two pictures of the street from which events are made, ns; a multiple of 1000.
+    pub step_ns: u64,
+    /// Size of the camera's sensor.
+    pub sensor: Sensor,
+}
+
+impl Default for Street {
+    /// What the configuration has where it says nothing.
+    fn default() -> Self {
+        Self {
+            pass: StreetPass::Day,
+            seed: 1,
+            length_m: 600.0,
+            speed_m_s: 8.0,
+            step_ns: 4_000_000,
+            sensor: Sensor {
+                height: 120,
+                width: 160,
+            },
+        }
+    }
+}
+
+/// A drive along the street.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StreetPass {
+    /// By day, at a steady speed.
+    Day,
+    /// By day again: half a metre to the side, at 0.9 times the speed with variation, and with a stop.
+    Day2,
+    /// The same by night.
+    Night,
+}
+
+impl StreetPass {
+    /// All passes.
+    pub const ALL: [Self; 3] = [Self::Day, Self::Day2, Self::Night];
+
+    /// As in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Day => "day",
+            Self::Day2 => "day2",
+            Self::Night => "night",
+        }
+    }
+}
+
+/// How fast a recording is replayed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// As fast as the graph takes it.
+    Unpaced,
+    /// So many times as fast as it was recorded.
+    Factor(f64),
+}
+
+/// Unit of times in text recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TimeUnit {
+    /// A decimal point means seconds, else decided by magnitude; said in the log.
+    Auto,
+    /// Seconds.
+    S,
+    /// Milliseconds.
+    Ms,
+    /// Microseconds.
+    Us,
+    /// Nanoseconds.
+    Ns,
+}
+
+/// What to do with an event that cannot be right.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnBadEvent {
+    /// Stop with an error that names it.
+    Error,
+    /// Leave it out and count it.
+    Drop,
+    /// Times only: treat it as at the latest time so far, and count it.
+    Clamp,
+}
