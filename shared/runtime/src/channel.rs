@@ -7,7 +7,7 @@ use crate::{RuntimeError, Stop};
 use evpr_core::message::{Header, Message};
 use evpr_core::plan::{Channel, Topic};
 use evpr_core::stage::{Outlet, StageError};
-use iceoryx2::port::listener::Listener;
+use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::BackpressureAction;
 use iceoryx2::port::publisher::Publisher;
@@ -205,8 +205,11 @@ fn meet_readers<M: Message>(
             return Ok(());
         }
         let _ = wake.notify_with_custom_event_id(EventId::new(DATA));
-        room.timed_wait(|event| *heard.entry(event.id.as_value()).or_default() += 1, BLOCKED_RECHECK)
-            .map_err(|e| failed(topic, "cannot wait for readers", &e))?;
+        match room.timed_wait(|event| *heard.entry(event.id.as_value()).or_default() += 1, BLOCKED_RECHECK) {
+            // After a signal, the loop looks whether it was one to stop.
+            Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
+            Err(e) => return Err(failed(topic, "cannot wait for readers", &e)),
+        }
     }
 }
 

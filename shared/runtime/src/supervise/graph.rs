@@ -137,7 +137,7 @@ pub struct Supervisor {
     // Channels without a port of the supervisor's: held so that their sizes are the plan's.
     _held: Vec<Box<dyn Any>>,
     node: Node<Ipc>,
-    _lock: File,
+    _lock: Option<File>,
 }
 
 struct Ports {
@@ -169,6 +169,18 @@ impl Supervisor {
         if swept > 0 {
             warn!("an earlier run of this instance was cut short; removed the {swept} files it had left in shared memory");
         }
+        match Self::assemble(plan, folder.clone(), command) {
+            Ok(supervisor) => Ok(Self { _lock: Some(lock), ..supervisor }),
+            Err(e) => {
+                folder.sweep();
+                folder.remove();
+                Err(e)
+            }
+        }
+    }
+
+    /// Everything but the lock, which is held by the caller.
+    fn assemble(plan: Plan, folder: RunFolder, command: CommandLine) -> Result<Self, RuntimeError> {
         shm::check(&plan)?;
         let run_id = now_ns() ^ (u64::from(std::process::id()) << 40);
         folder.write_spec(&RunSpec { run_id, supervisor: std::process::id(), plan: plan.clone() })?;
@@ -220,7 +232,7 @@ impl Supervisor {
             _signals: signals,
             _held: held,
             node,
-            _lock: lock,
+            _lock: None,
         })
     }
 
