@@ -45,6 +45,10 @@ pub(crate) enum Command {
     Validate(ConfigArgs),
     /// Show the plan of a configuration: processes, channels, bytes
     Graph(GraphArgs),
+    /// Check whether this machine is fit: shared memory, limits, processor, clocks
+    Doctor(DoctorArgs),
+    /// Print the completions of a shell
+    Completion(CompletionArgs),
     /// One process of a running graph; started by `evpr run`
     #[command(hide = true)]
     Service(ServiceArgs),
@@ -279,6 +283,23 @@ pub(crate) struct GraphArgs {
     /// As JSON
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct DoctorArgs {
+    /// Check the room for this configuration too
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct CompletionArgs {
+    /// The shell
+    #[arg(value_name = "SHELL")]
+    pub(crate) shell: clap_complete::Shell,
 }
 
 #[derive(Debug, Parser)]

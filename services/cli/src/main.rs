@@ -6,6 +6,7 @@ mod commands;
 mod failure;
 mod frames_npy;
 mod matches;
+mod output;
 mod progress;
 
 use clap::Parser;

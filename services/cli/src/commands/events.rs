@@ -3,6 +3,7 @@
 use crate::args::{AlignArg, EventsCommand, EventsInfoArgs, ReconstructArgs};
 use crate::catalog::CATALOG;
 use crate::failure::Failure;
+use crate::output::say;
 use crate::frames_npy::FramesWriter;
 use crate::progress;
 use evpr_core::Plan;
@@ -33,7 +34,7 @@ fn info(args: &EventsInfoArgs) -> Result<ExitCode, Failure> {
     })?;
     bar.finish_and_clear();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&info)?);
+        say!("{}", serde_json::to_string_pretty(&info)?);
     } else {
         show(&info);
     }
@@ -42,7 +43,7 @@ fn info(args: &EventsInfoArgs) -> Result<ExitCode, Failure> {
 
 /// The report for a person.
 fn show(info: &RecordingInfo) {
-    let row = |label: &str, value: String| println!("{label:<16} {value}");
+    let row = |label: &str, value: String| say!("{label:<16} {value}");
     let unit_from = info.source.time_unit_from;
     row("recording", info.source.path.display().to_string());
     row("format", format!("{}, times in {} (by {unit_from})", info.source.format, info.source.time_unit));

@@ -3,6 +3,7 @@
 use crate::args::{ConfigArgs, GraphArgs};
 use crate::catalog;
 use crate::failure::Failure;
+use crate::output::say;
 use evpr_core::Plan;
 use evpr_core::config::Overrides;
 use serde::Serialize;
@@ -12,7 +13,7 @@ use std::process::ExitCode;
 /// `evpr validate`.
 pub(crate) fn validate(args: &ConfigArgs) -> Result<ExitCode, Failure> {
     let config = catalog::load(&args.config)?;
-    println!("{}: ok, {} members", args.config.display(), config.members().len());
+    say!("{}: ok, {} members", args.config.display(), config.members().len());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -74,25 +75,25 @@ pub(crate) fn graph(args: &GraphArgs) -> Result<ExitCode, Failure> {
     let plan = catalog::plan(&args.config.config, &overrides)?;
     let report = report(&plan)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        say!("{}", serde_json::to_string_pretty(&report)?);
         return Ok(ExitCode::SUCCESS);
     }
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    println!("sensor     {}", report.sensor);
-    println!("tick       {}, windows {}", report.tick, report.windows.join(" "));
-    println!("processes  {}", report.processes.join("  "));
-    println!("members    {}", report.members.len());
+    say!("sensor     {}", report.sensor);
+    say!("tick       {}, windows {}", report.tick, report.windows.join(" "));
+    say!("processes  {}", report.processes.join("  "));
+    say!("members    {}", report.members.len());
     for member in &report.members {
-        println!("  {member}");
+        say!("  {member}");
     }
-    println!();
+    say!();
     let width = report.channels.iter().map(|c| c.channel.len()).max().unwrap_or(7);
-    println!(
+    say!(
         "{:<width$}  {:>4}  {:>4}  {:>6}  {:>13}  {:>12}  delivery",
         "channel", "pubs", "subs", "buffer", "message bytes", "reserved MiB"
     );
     for c in &report.channels {
-        println!(
+        say!(
             "{:<width$}  {:>4}  {:>4}  {:>6}  {:>13}  {:>12.2}  {}",
             c.channel,
             c.publishers,
@@ -103,7 +104,7 @@ pub(crate) fn graph(args: &GraphArgs) -> Result<ExitCode, Failure> {
             c.delivery
         );
     }
-    println!(
+    say!(
         "\nshared memory: {:.1} MiB needed at most, {:.1} MiB free in /dev/shm",
         mib(report.shared_memory_bytes),
         mib(report.shared_memory_free_bytes)

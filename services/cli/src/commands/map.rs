@@ -4,6 +4,7 @@ use super::run::{overrides, supervise};
 use crate::args::{MapArgs, MapBuildArgs, MapCommand};
 use crate::catalog;
 use crate::failure::Failure;
+use crate::output::say;
 use evpr_store::Traverse;
 use std::process::ExitCode;
 
@@ -41,21 +42,21 @@ fn info(args: &MapArgs) -> Result<ExitCode, Failure> {
     let map = Traverse::open(&args.path)?;
     let manifest = map.manifest();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(manifest)?);
+        say!("{}", serde_json::to_string_pretty(manifest)?);
         return Ok(ExitCode::SUCCESS);
     }
     let positions = map.ticks().iter().filter(|t| t.position.is_some()).count();
-    println!("sensor     {}", manifest.sensor);
-    println!("tick       {}, align {}", manifest.slicing.tick_id(), manifest.slicing.align.name());
-    println!("source     {}", manifest.source);
-    println!("ticks      {}, {positions} with a position", map.len());
+    say!("sensor     {}", manifest.sensor);
+    say!("tick       {}, align {}", manifest.slicing.tick_id(), manifest.slicing.align.name());
+    say!("source     {}", manifest.source);
+    say!("ticks      {}, {positions} with a position", map.len());
     if let (Some(first), Some(last)) = (map.ticks().first(), map.ticks().last()) {
-        println!("time       {} µs to {} µs ({:.1} s)", first.start_us, last.end_us, (last.end_us - first.start_us) as f64 / 1e6);
+        say!("time       {} µs to {} µs ({:.1} s)", first.start_us, last.end_us, (last.end_us - first.start_us) as f64 / 1e6);
     }
     let width = manifest.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
-    println!("\n{:<width$}  {:>6}  {:>9}", "member", "dim", "with row");
+    say!("\n{:<width$}  {:>6}  {:>9}", "member", "dim", "with row");
     for m in &manifest.members {
-        println!("{:<width$}  {:>6}  {:>9}", m.name, m.dim, m.present);
+        say!("{:<width$}  {:>6}  {:>9}", m.name, m.dim, m.present);
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -63,9 +64,9 @@ fn info(args: &MapArgs) -> Result<ExitCode, Failure> {
 fn verify(args: &MapArgs) -> Result<ExitCode, Failure> {
     let summary = evpr_store::verify(&args.path)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        say!("{}", serde_json::to_string_pretty(&summary)?);
     } else if summary.problems.is_empty() {
-        println!("{}: ok, {} ticks", args.path.display(), summary.ticks);
+        say!("{}: ok, {} ticks", args.path.display(), summary.ticks);
     }
     if summary.problems.is_empty() {
         return Ok(ExitCode::SUCCESS);
@@ -76,9 +77,9 @@ fn verify(args: &MapArgs) -> Result<ExitCode, Failure> {
 fn repair(args: &MapArgs) -> Result<ExitCode, Failure> {
     let summary = evpr_store::repair(&args.path)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&summary)?);
+        say!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
-        println!("{}: closed with {} ticks", summary.path.display(), summary.ticks);
+        say!("{}: closed with {} ticks", summary.path.display(), summary.ticks);
     }
     Ok(ExitCode::SUCCESS)
 }

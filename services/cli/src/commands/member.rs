@@ -2,6 +2,7 @@
 
 use crate::args::{InstanceArgs, MemberCommand};
 use crate::failure::Failure;
+use crate::output::say;
 use evpr_runtime::{ControlRequest, RunFolder};
 use std::process::ExitCode;
 
@@ -23,19 +24,19 @@ fn ask(instance: &InstanceArgs, request: &ControlRequest) -> Result<ExitCode, Fa
         return Err(Failure::new(error));
     }
     if instance.json {
-        println!("{}", serde_json::to_string(&reply)?);
+        say!("{}", serde_json::to_string(&reply)?);
         return Ok(ExitCode::SUCCESS);
     }
     match (request, reply.from_tick) {
         (ControlRequest::List, _) => {
             let width = reply.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
-            println!("{:<width$}  {:<8}  weight", "member", "state");
+            say!("{:<width$}  {:<8}  weight", "member", "state");
             for m in &reply.members {
-                println!("{:<width$}  {:<8}  {}", m.name, if m.enabled { "enabled" } else { "disabled" }, m.weight);
+                say!("{:<width$}  {:<8}  {}", m.name, if m.enabled { "enabled" } else { "disabled" }, m.weight);
             }
         }
-        (ControlRequest::Set { .. }, Some(tick)) => println!("in force from tick {tick} on"),
-        (ControlRequest::Set { .. }, None) => println!("accepted; in force from the next tick on"),
+        (ControlRequest::Set { .. }, Some(tick)) => say!("in force from tick {tick} on"),
+        (ControlRequest::Set { .. }, None) => say!("accepted; in force from the next tick on"),
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -1,5 +1,6 @@
 //! One file per command.
 
+mod doctor;
 mod events;
 mod graph;
 mod map;
@@ -8,8 +9,10 @@ mod run;
 mod sequence_match;
 mod service;
 
-use crate::args::Command;
+use crate::args::{Args, Command, CompletionArgs};
 use crate::failure::Failure;
+use crate::output::say;
+use clap::CommandFactory;
 use std::process::ExitCode;
 
 /// Does what was asked.
@@ -22,6 +25,16 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),
         Command::Graph(args) => graph::graph(&args),
+        Command::Doctor(args) => doctor::doctor(&args),
+        Command::Completion(args) => Ok(completion(&args)),
         Command::Service(args) => service::service(&args),
     }
+}
+
+/// `evpr completion`.
+fn completion(args: &CompletionArgs) -> ExitCode {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Args::command(), "evpr", &mut script);
+    say!("{}", String::from_utf8_lossy(&script).trim_end());
+    ExitCode::SUCCESS
 }
