@@ -1,7 +1,7 @@
 //! End-to-end tests over real processes. Each has an instance of its own (its own names in shared memory), a watchdog,
 //! and looks afterwards whether anything was left behind.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)] // tests; clippy sees only #[test] functions as such
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)] // tests; clippy sees only #[test] functions as such
 
 mod bad_input;
 mod corridor;

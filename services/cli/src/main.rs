@@ -1,5 +1,7 @@
 //! `evpr`: onboard visual place recognition for event cameras.
 
+#![warn(clippy::print_stdout)] // results go through `output`, which survives a reader that hangs up
+
 mod args;
 mod catalog;
 mod commands;

@@ -45,8 +45,8 @@ fn shared_memory() -> Finding {
     match nix::sys::statvfs::statvfs("/dev/shm") {
         Err(e) => finding("shared memory", Verdict::Failure, format!("/dev/shm: {e}"), ADVICE),
         Ok(stat) => {
-            let size = stat.blocks() as u64 * stat.fragment_size() as u64;
-            let free = stat.blocks_available() as u64 * stat.fragment_size() as u64;
+            let size = stat.blocks() * stat.fragment_size();
+            let free = stat.blocks_available() * stat.fragment_size();
             let verdict = if free < SMALL_SHM_BYTES { Verdict::Warning } else { Verdict::Ok };
             let found = format!("/dev/shm: {} MiB, {} MiB free", size >> 20, free >> 20);
             finding("shared memory", verdict, found, ADVICE)
@@ -112,7 +112,7 @@ fn clock() -> Finding {
     }
 }
 
-fn room(config: &PathBuf) -> Result<Finding, Failure> {
+fn room(config: &Path) -> Result<Finding, Failure> {
     let overrides = Overrides {
         map: Some(PathBuf::from("map")),
         record: Some(PathBuf::from("record")),
