@@ -8,7 +8,13 @@ use std::path::PathBuf;
 
 /// Onboard visual place recognition for event cameras.
 #[derive(Debug, Parser)]
-#[command(name = "evpr", version, about, max_term_width = 100, arg_required_else_help = true)]
+#[command(
+    name = "evpr",
+    version,
+    about,
+    max_term_width = 100,
+    arg_required_else_help = true
+)]
 pub(crate) struct Args {
     #[command(subcommand)]
     pub(crate) command: Command,

@@ -7,8 +7,10 @@ use evpr_core::plan::Catalog;
 use std::path::Path;
 
 /// The reconstructions and extractors of this executable.
-pub(crate) const CATALOG: Catalog =
-    Catalog { reconstructions: &evpr_reconstruct::KINDS, extractors: &evpr_extract::KINDS };
+pub(crate) const CATALOG: Catalog = Catalog {
+    reconstructions: &evpr_reconstruct::KINDS,
+    extractors: &evpr_extract::KINDS,
+};
 
 /// Reads and checks a configuration.
 pub(crate) fn load(path: &Path) -> Result<Config, Failure> {

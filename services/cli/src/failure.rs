@@ -16,17 +16,26 @@ pub(crate) struct Failure {
 impl Failure {
     /// The input, the machine or the run: exit code 1.
     pub(crate) fn new(line: impl Display) -> Self {
-        Self { lines: vec![line.to_string()], code: 1 }
+        Self {
+            lines: vec![line.to_string()],
+            code: 1,
+        }
     }
 
     /// What was asked for makes no sense: exit code 2.
     pub(crate) fn usage(line: impl Display) -> Self {
-        Self { lines: vec![line.to_string()], code: 2 }
+        Self {
+            lines: vec![line.to_string()],
+            code: 2,
+        }
     }
 
     /// Somebody else has said why already: exit code 1.
     pub(crate) fn said_already() -> Self {
-        Self { lines: Vec::new(), code: 1 }
+        Self {
+            lines: Vec::new(),
+            code: 1,
+        }
     }
 
     /// Prints the lines and gives the exit code.

@@ -20,7 +20,13 @@ impl FramesWriter {
     pub(crate) fn create(path: &Path, height: usize, width: usize, channels: usize) -> io::Result<Self> {
         let mut file = BufWriter::new(File::create(path)?);
         file.write_all(&[0; HEADER_BYTES])?;
-        Ok(Self { file, height, width, channels, ticks: 0 })
+        Ok(Self {
+            file,
+            height,
+            width,
+            channels,
+            ticks: 0,
+        })
     }
 
     fn frame_bytes(&self) -> usize {
@@ -30,7 +36,10 @@ impl FramesWriter {
     /// Black frames up to this tick.
     fn fill_to(&mut self, tick: u64) -> io::Result<()> {
         while self.ticks < tick {
-            io::copy(&mut io::Read::take(io::repeat(0), self.frame_bytes() as u64), &mut self.file)?;
+            io::copy(
+                &mut io::Read::take(io::repeat(0), self.frame_bytes() as u64),
+                &mut self.file,
+            )?;
             self.ticks += 1;
         }
         Ok(())
@@ -53,7 +62,9 @@ impl FramesWriter {
         };
         let mut header = b"\x93NUMPY\x01\x00".to_vec();
         header.extend_from_slice(&(HEADER_BYTES as u16 - 10).to_le_bytes());
-        header.extend_from_slice(format!("{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}").as_bytes());
+        header.extend_from_slice(
+            format!("{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}").as_bytes(),
+        );
         header.resize(HEADER_BYTES - 1, b' ');
         header.push(b'\n');
         let bytes = HEADER_BYTES as u64 + ticks * self.frame_bytes() as u64;

@@ -26,7 +26,10 @@ fn main() -> ExitCode {
     let args = args::Args::parse();
     let default = if args.quiet() { QUIET_LOG } else { DEFAULT_LOG };
     let filter = EnvFilter::try_from_env(LOG_VARIABLE).unwrap_or_else(|_| EnvFilter::new(default));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false);
+    let log = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_target(false);
     log.with_ansi(std::io::stderr().is_terminal()).init();
     match commands::dispatch(args.command) {
         Ok(code) => code,

@@ -70,10 +70,19 @@ fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> M
         end_us: header.end_us,
         reference,
         reason: Reason::from_code(header.reason).map(Reason::text),
-        position: header.east_m.is_finite().then_some([header.east_m, header.north_m]),
+        position: header
+            .east_m
+            .is_finite()
+            .then_some([header.east_m, header.north_m]),
         score: reference.map(|_| header.score),
         confidence: reference.map(|_| header.confidence),
-        top: candidates.iter().map(|c| Place { reference: c.reference, score: c.score }).collect(),
+        top: candidates
+            .iter()
+            .map(|c| Place {
+                reference: c.reference,
+                score: c.score,
+            })
+            .collect(),
         members,
         missing,
         latency_us: Latency {
@@ -95,10 +104,16 @@ impl MatchWriter {
     /// A new file, or stdout.
     pub(crate) fn create(path: Option<&Path>) -> Result<Self, String> {
         match path {
-            None => Ok(Self { name: "stdout".to_owned(), sink: Box::new(io::stdout()) }),
+            None => Ok(Self {
+                name: "stdout".to_owned(),
+                sink: Box::new(io::stdout()),
+            }),
             Some(path) => {
                 let file = File::create(path).map_err(|e| format!("cannot write {}: {e}", path.display()))?;
-                Ok(Self { name: path.display().to_string(), sink: Box::new(BufWriter::new(file)) })
+                Ok(Self {
+                    name: path.display().to_string(),
+                    sink: Box::new(BufWriter::new(file)),
+                })
             }
         }
     }
@@ -113,6 +128,9 @@ impl MatchWriter {
         let failed = |e: &dyn std::fmt::Display| format!("cannot write matches to {}: {e}", self.name);
         let mut text = serde_json::to_string(&line(plan, header, candidates)).map_err(|e| failed(&e))?;
         text.push('\n');
-        self.sink.write_all(text.as_bytes()).and_then(|()| self.sink.flush()).map_err(|e| failed(&e))
+        self.sink
+            .write_all(text.as_bytes())
+            .and_then(|()| self.sink.flush())
+            .map_err(|e| failed(&e))
     }
 }

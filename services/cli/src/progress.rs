@@ -9,15 +9,21 @@ pub(crate) fn bar(unwanted: bool, what: &str) -> ProgressBar {
     if unwanted || !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template("{prefix} [{bar:40}] {percent:>3}% {msg} ({elapsed}, {eta} left)")
-        .unwrap_or_else(|_| ProgressStyle::default_bar())
-        .progress_chars("=> ");
-    ProgressBar::new(1000).with_style(style).with_prefix(what.to_owned())
+    let style =
+        ProgressStyle::with_template("{prefix} [{bar:40}] {percent:>3}% {msg} ({elapsed}, {eta} left)")
+            .unwrap_or_else(|_| ProgressStyle::default_bar())
+            .progress_chars("=> ");
+    ProgressBar::new(1000)
+        .with_style(style)
+        .with_prefix(what.to_owned())
 }
 
 /// Moves the bar.
 pub(crate) fn show(bar: &ProgressBar, progress: &Progress) {
     bar.set_position(progress.permille);
     let ticks = progress.answers.max(progress.recorded);
-    bar.set_message(format!("{ticks} ticks, {:.1} M events", progress.events as f64 / 1e6));
+    bar.set_message(format!(
+        "{ticks} ticks, {:.1} M events",
+        progress.events as f64 / 1e6
+    ));
 }

@@ -618,7 +618,9 @@ mod tests {
         tick(&mut l, 4, TickKind::End);
         assert!(l.settle(0).unwrap().lost);
         assert_eq!(l.settle(99), None, "tick 1 may still be completed");
-        let ticks: Vec<_> = std::iter::from_fn(|| l.settle(100)).map(|s| (s.info.tick, s.lost)).collect();
+        let ticks: Vec<_> = std::iter::from_fn(|| l.settle(100))
+            .map(|s| (s.info.tick, s.lost))
+            .collect();
         assert_eq!(ticks, [(1, false), (2, true), (3, true)]);
         assert!(l.finished());
         assert_eq!(l.deadline_ns(), None);

@@ -7,14 +7,15 @@ use crate::{RuntimeError, Stop};
 use evpr_core::message::{Header, Message};
 use evpr_core::plan::{Channel, Topic};
 use evpr_core::stage::{Outlet, StageError};
+use iceoryx2::port::BackpressureAction;
 use iceoryx2::port::listener::{Listener, ListenerWaitError};
 use iceoryx2::port::notifier::Notifier;
-use iceoryx2::port::BackpressureAction;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
+use std::cell::{Cell, RefCell};
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -72,7 +73,8 @@ pub(crate) struct ChannelServices<M: Message> {
 impl<M: Message> ChannelServices<M> {
     pub(crate) fn open(node: &Node<Ipc>, channel: &Channel) -> Result<Self, RuntimeError> {
         let topic = &channel.topic;
-        let alignment = Alignment::new(ALIGNMENT).ok_or_else(|| failed(topic, "bad alignment", &ALIGNMENT))?;
+        let alignment =
+            Alignment::new(ALIGNMENT).ok_or_else(|| failed(topic, "bad alignment", &ALIGNMENT))?;
         let nodes = 2 * (channel.max_subscribers + channel.max_publishers);
         let data = node
             .service_builder(&service_name(topic, "")?)
@@ -97,7 +99,12 @@ impl<M: Message> ChannelServices<M> {
                 .open_or_create()
                 .map_err(|e| failed(topic, "cannot open its event", &e))
         };
-        Ok(Self { channel: channel.clone(), data, wake: event("")?, room: event("/room")? })
+        Ok(Self {
+            channel: channel.clone(),
+            data,
+            wake: event("")?,
+            room: event("/room")?,
+        })
     }
 }
 
@@ -138,8 +145,13 @@ impl<M: Message> ChannelSender<M> {
             .allocation_strategy(AllocationStrategy::Static)
             .max_loaned_samples(slots)
             .backpressure_strategy(BackpressureStrategy::DiscardData);
-        let room = channel.waits.then(|| services.room.listener_builder().create()).transpose();
-        let room = room.map_err(|e| failed(&topic, "cannot listen for room", &e))?.map(Arc::new);
+        let room = channel
+            .waits
+            .then(|| services.room.listener_builder().create())
+            .transpose();
+        let room = room
+            .map_err(|e| failed(&topic, "cannot listen for room", &e))?
+            .map(Arc::new);
         let publisher = match &room {
             Some(room) => {
                 let (flag, room) = (stop.clone(), room.clone());
@@ -156,10 +168,14 @@ impl<M: Message> ChannelSender<M> {
         }
         .create()
         .map_err(|e| failed(&topic, "cannot publish", &e))?;
-        let wake =
-            services.wake.notifier_builder().create().map_err(|e| failed(&topic, "cannot notify", &e))?;
-        let touched: Result<Vec<_>, _> =
-            (0..slots).map(|_| publisher.loan_slice(channel.max_items.max(1))).collect();
+        let wake = services
+            .wake
+            .notifier_builder()
+            .create()
+            .map_err(|e| failed(&topic, "cannot notify", &e))?;
+        let touched: Result<Vec<_>, _> = (0..slots)
+            .map(|_| publisher.loan_slice(channel.max_items.max(1)))
+            .collect();
         drop(touched.map_err(|e| failed(&topic, "cannot touch its buffers", &e))?);
         if let Some(room) = &room {
             meet_readers(&services, room, &wake, stop)?;
@@ -192,7 +208,8 @@ fn meet_readers<M: Message>(
 ) -> Result<(), RuntimeError> {
     let topic = &services.channel.topic;
     let mut heard: HashMap<usize, u32> = HashMap::new();
-    room.try_wait(|_| {}).map_err(|e| failed(topic, "cannot listen for readers", &e))?;
+    room.try_wait(|_| {})
+        .map_err(|e| failed(topic, "cannot listen for readers", &e))?;
     loop {
         // Looked up each time: a reader that dies meanwhile vanishes from the list once it is cleaned up.
         let mut missing = false;
@@ -205,7 +222,10 @@ fn meet_readers<M: Message>(
             return Ok(());
         }
         let _ = wake.notify_with_custom_event_id(EventId::new(DATA));
-        match room.timed_wait(|event| *heard.entry(event.id.as_value()).or_default() += 1, BLOCKED_RECHECK) {
+        match room.timed_wait(
+            |event| *heard.entry(event.id.as_value()).or_default() += 1,
+            BLOCKED_RECHECK,
+        ) {
             // After a signal, the loop looks whether it was one to stop.
             Ok(_) | Err(ListenerWaitError::InterruptSignal) => {}
             Err(e) => return Err(failed(topic, "cannot wait for readers", &e)),
@@ -230,7 +250,10 @@ impl<M: Message> Outlet<M> for ChannelSender<M> {
             StageError::Fatal(format!("channel {}: {what}: {e:?}", self.topic))
         };
         // Slices in shared memory have at least one item; receivers take the true length from the header.
-        let mut sample = self.publisher.loan_slice(len.max(1)).map_err(|e| broken("no free slot", &e))?;
+        let mut sample = self
+            .publisher
+            .loan_slice(len.max(1))
+            .map_err(|e| broken("no free slot", &e))?;
         if len > 0 {
             fill(sample.payload_mut());
         }
@@ -261,11 +284,11 @@ pub(crate) struct ChannelReceiver<M: Message> {
     reader: EventId,
     run_id: u64,
     /// The next sequence number per sender (service, incarnation).
-    expected: HashMap<(u32, u32), u64>,
+    expected: RefCell<HashMap<(u32, u32), u64>>,
     /// Messages that were sent and never came.
-    pub(crate) lost: u64,
+    lost: Cell<u64>,
     /// Messages of another run, or longer than their payload.
-    pub(crate) refused: u64,
+    refused: Cell<u64>,
     _services: ChannelServices<M>,
 }
 
@@ -301,11 +324,21 @@ impl<M: Message> ChannelReceiver<M> {
             .create()
             .map_err(|e| failed(&topic, "cannot subscribe", &e))?;
         // Connects to the senders there are, so that a full channel waits for this reader from now on.
-        subscriber.has_samples().map_err(|e| failed(&topic, "cannot connect", &e))?;
-        let listener =
-            services.wake.listener_builder().create().map_err(|e| failed(&topic, "cannot listen", &e))?;
-        let room = services.channel.waits.then(|| services.room.notifier_builder().create());
-        let room = room.transpose().map_err(|e| failed(&topic, "cannot notify of room", &e))?;
+        subscriber
+            .has_samples()
+            .map_err(|e| failed(&topic, "cannot connect", &e))?;
+        let listener = services
+            .wake
+            .listener_builder()
+            .create()
+            .map_err(|e| failed(&topic, "cannot listen", &e))?;
+        let room = services
+            .channel
+            .waits
+            .then(|| services.room.notifier_builder().create());
+        let room = room
+            .transpose()
+            .map_err(|e| failed(&topic, "cannot notify of room", &e))?;
         Ok(Self {
             topic,
             subscriber,
@@ -313,9 +346,9 @@ impl<M: Message> ChannelReceiver<M> {
             room,
             reader: EventId::new(FIRST_READER + reader as usize),
             run_id,
-            expected: HashMap::new(),
-            lost: 0,
-            refused: 0,
+            expected: RefCell::default(),
+            lost: Cell::new(0),
+            refused: Cell::new(0),
             _services: services,
         })
     }
@@ -325,22 +358,39 @@ impl<M: Message> ChannelReceiver<M> {
         &self.listener
     }
 
+    /// Messages that were sent and never came.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost.get()
+    }
+
+    /// Messages of another run, or longer than their payload.
+    pub(crate) fn refused(&self) -> u64 {
+        self.refused.get()
+    }
+
     /// The next message of this run, if there is one.
-    pub(crate) fn receive(&mut self) -> Result<Option<Incoming<M>>, RuntimeError> {
+    pub(crate) fn receive(&self) -> Result<Option<Incoming<M>>, RuntimeError> {
         loop {
-            let received = self.subscriber.receive().map_err(|e| failed(&self.topic, "cannot receive", &e))?;
+            let received = self
+                .subscriber
+                .receive()
+                .map_err(|e| failed(&self.topic, "cannot receive", &e))?;
             if let Some(room) = &self.room {
                 let _ = room.notify_with_custom_event_id(self.reader);
             }
             let Some(sample) = received else { return Ok(None) };
             let stamp = *sample.user_header().stamp();
             if stamp.run_id != self.run_id || stamp.items as usize > sample.payload().len() {
-                self.refused += 1;
+                self.refused.set(self.refused.get() + 1);
                 continue;
             }
-            let expected = self.expected.entry((stamp.service, stamp.incarnation)).or_insert(stamp.seq);
+            let mut senders = self.expected.borrow_mut();
+            let expected = senders
+                .entry((stamp.service, stamp.incarnation))
+                .or_insert(stamp.seq);
             let gap = stamp.seq > *expected;
-            self.lost += stamp.seq.saturating_sub(*expected);
+            self.lost
+                .set(self.lost.get() + stamp.seq.saturating_sub(*expected));
             *expected = stamp.seq + 1;
             return Ok(Some(Incoming { sample, gap }));
         }

@@ -23,7 +23,10 @@ impl Drop for Bench {
 impl Bench {
     fn new() -> Self {
         let temp = tempfile::Builder::new().prefix("ev").tempdir_in("/tmp").unwrap();
-        Self { folder: RunFolder::at(temp.path()), _temp: temp }
+        Self {
+            folder: RunFolder::at(temp.path()),
+            _temp: temp,
+        }
     }
 
     fn node(&self) -> Node<Ipc> {
@@ -41,7 +44,11 @@ fn channel(delivery: Delivery) -> Channel {
 }
 
 fn sender(node: &Node<Ipc>, channel: &Channel, stop: &Stop, incarnation: u32) -> ChannelSender<Chunks> {
-    let identity = Identity { run_id: 7, service: 0, incarnation };
+    let identity = Identity {
+        run_id: 7,
+        service: 0,
+        incarnation,
+    };
     ChannelSender::new(ChannelServices::open(node, channel).unwrap(), identity, stop, 1).unwrap()
 }
 
@@ -55,11 +62,18 @@ fn send(sender: &mut ChannelSender<Chunks>, tick: u64, len: usize) -> Result<(),
             *slot = Event::new(i as u32, 1, 2, true);
         }
     };
-    sender.emit(ChunkHeader { tick, ..ChunkHeader::default() }, len, fill)
+    sender.emit(
+        ChunkHeader {
+            tick,
+            ..ChunkHeader::default()
+        },
+        len,
+        fill,
+    )
 }
 
 /// (tick, payload length, gap) of everything that has come.
-fn drain(receiver: &mut ChannelReceiver<Chunks>) -> Vec<(u64, usize, bool)> {
+fn drain(receiver: &ChannelReceiver<Chunks>) -> Vec<(u64, usize, bool)> {
     let mut all = Vec::new();
     while let Some(message) = receiver.receive().unwrap() {
         all.push((message.header().tick, message.payload().len(), message.gap));
@@ -73,10 +87,10 @@ fn empty_and_full_messages_arrive_with_their_true_length() {
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
-    let mut to = receiver(&b, &channel);
+    let to = receiver(&b, &channel);
     send(&mut from, 1, 0).unwrap();
     send(&mut from, 2, 100).unwrap();
-    assert_eq!(drain(&mut to), [(1, 0, false), (2, 100, false)]);
+    assert_eq!(drain(&to), [(1, 0, false), (2, 100, false)]);
     assert!(matches!(send(&mut from, 3, 101), Err(StageError::Fatal(_))));
 }
 
@@ -86,13 +100,13 @@ fn what_was_sent_can_be_read_after_the_sender_has_gone() {
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
-    let mut to = receiver(&b, &channel);
+    let to = receiver(&b, &channel);
     for tick in 0..3 {
         send(&mut from, tick, 5).unwrap();
     }
     drop(from);
     drop(a);
-    assert_eq!(drain(&mut to), [(0, 5, false), (1, 5, false), (2, 5, false)]);
+    assert_eq!(drain(&to), [(0, 5, false), (1, 5, false), (2, 5, false)]);
 }
 
 #[test]
@@ -101,14 +115,14 @@ fn latest_loses_the_oldest_and_counts_it() {
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Latest);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
-    let mut to = receiver(&b, &channel);
+    let to = receiver(&b, &channel);
     send(&mut from, 0, 1).unwrap();
-    assert_eq!(drain(&mut to).len(), 1);
+    assert_eq!(drain(&to).len(), 1);
     for tick in 1..=5 {
         send(&mut from, tick, 1).unwrap();
     }
-    assert_eq!(drain(&mut to), [(3, 1, true), (4, 1, false), (5, 1, false)]);
-    assert_eq!(to.lost, 2);
+    assert_eq!(drain(&to), [(3, 1, true), (4, 1, false), (5, 1, false)]);
+    assert_eq!(to.lost(), 2);
 }
 
 #[test]
@@ -118,7 +132,7 @@ fn lossless_waits_for_room_and_gives_up_when_stopped() {
     let channel = channel(Delivery::Lossless);
     let stop = Stop::new();
     let mut from = sender(&a, &channel, &stop, 1);
-    let mut to = receiver(&b, &channel);
+    let to = receiver(&b, &channel);
     for tick in 0..3 {
         send(&mut from, tick, 1).unwrap();
     }
@@ -127,7 +141,7 @@ fn lossless_waits_for_room_and_gives_up_when_stopped() {
         let blocked = scope.spawn(|| (3..10).try_for_each(|tick| send(&mut from, tick, 1)));
         let mut seen = 0;
         while seen < 10 {
-            seen += drain(&mut to).len();
+            seen += drain(&to).len();
             std::thread::yield_now();
         }
         assert!(blocked.join().unwrap().is_ok());
@@ -144,16 +158,18 @@ fn a_new_sender_waits_until_the_readers_have_connected() {
     let bench = Bench::new();
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
-    let mut to = receiver(&b, &channel);
+    let to = receiver(&b, &channel);
     std::thread::scope(|scope| {
         // More than the channel holds, and nobody has received yet.
         let sending = scope.spawn(|| {
             let mut from = sender(&a, &channel, &Stop::new(), 1);
-            (0..50).try_for_each(|tick| send(&mut from, tick, 1)).map(|()| from)
+            (0..50)
+                .try_for_each(|tick| send(&mut from, tick, 1))
+                .map(|()| from)
         });
         let mut seen = Vec::new();
         while seen.len() < 50 {
-            seen.extend(drain(&mut to));
+            seen.extend(drain(&to));
             std::thread::yield_now();
         }
         assert_eq!(seen, (0..50).map(|tick| (tick, 1, false)).collect::<Vec<_>>());
@@ -167,10 +183,10 @@ fn messages_of_another_run_are_refused() {
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
-    let mut to = ChannelReceiver::<Chunks>::new(ChannelServices::open(&b, &channel).unwrap(), 8, 1).unwrap();
+    let to = ChannelReceiver::<Chunks>::new(ChannelServices::open(&b, &channel).unwrap(), 8, 1).unwrap();
     send(&mut from, 0, 1).unwrap();
-    assert_eq!(drain(&mut to), []);
-    assert_eq!(to.refused, 1);
+    assert_eq!(drain(&to), []);
+    assert_eq!(to.refused(), 1);
 }
 
 #[test]
@@ -185,9 +201,14 @@ fn nothing_is_left_in_shared_memory() {
     }
     let left = || {
         let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
-        entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix)).count()
+        entries
+            .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
+            .count()
     };
-    assert!(left() <= 1, "more than iceoryx2's own table, which it never removes");
+    assert!(
+        left() <= 1,
+        "more than iceoryx2's own table, which it never removes"
+    );
     bench.folder.sweep();
     assert_eq!(left(), 0);
 }

@@ -60,7 +60,10 @@ pub struct ControlReply {
 
 impl ControlReply {
     pub(crate) fn refusal(error: String) -> Self {
-        Self { error: Some(error), ..Self::default() }
+        Self {
+            error: Some(error),
+            ..Self::default()
+        }
     }
 }
 
@@ -104,7 +107,12 @@ impl ControlServer {
                 }
             })
             .map_err(|e| RuntimeError::Process(format!("cannot start a thread: {e}")))?;
-        Ok(Self { path, closing, thread: Some(thread), requests })
+        Ok(Self {
+            path,
+            closing,
+            thread: Some(thread),
+            requests,
+        })
     }
 }
 
@@ -132,7 +140,9 @@ fn serve(stream: &UnixStream, asked: &Sender<Asked>, wake: &WakeSender) -> std::
             match asked.send(Asked { request, reply }) {
                 Ok(()) => {
                     wake.wake();
-                    answered.recv_timeout(REPLY_TIMEOUT).unwrap_or_else(|_| unanswered())
+                    answered
+                        .recv_timeout(REPLY_TIMEOUT)
+                        .unwrap_or_else(|_| unanswered())
                 }
                 Err(_) => unanswered(),
             }
@@ -151,11 +161,17 @@ fn serve(stream: &UnixStream, asked: &Sender<Asked>, wake: &WakeSender) -> std::
 pub fn request(folder: &RunFolder, request: &ControlRequest) -> Result<ControlReply, RuntimeError> {
     let path = folder.control_socket();
     let name = folder.path().file_name().unwrap_or_default().to_string_lossy();
-    let silent = |e: std::io::Error| RuntimeError::Folder(format!("the instance \"{name}\" does not answer: {e}"));
+    let silent =
+        |e: std::io::Error| RuntimeError::Folder(format!("the instance \"{name}\" does not answer: {e}"));
     let stream = UnixStream::connect(&path).map_err(|e| {
-        RuntimeError::Folder(format!("no instance named \"{name}\" is running ({}: {e})", path.display()))
+        RuntimeError::Folder(format!(
+            "no instance named \"{name}\" is running ({}: {e})",
+            path.display()
+        ))
     })?;
-    stream.set_read_timeout(Some(REPLY_TIMEOUT + PATIENCE)).map_err(silent)?;
+    stream
+        .set_read_timeout(Some(REPLY_TIMEOUT + PATIENCE))
+        .map_err(silent)?;
     let mut text = serde_json::to_string(request).map_err(|e| RuntimeError::Folder(e.to_string()))?;
     text.push('\n');
     (&mut &stream).write_all(text.as_bytes()).map_err(silent)?;

@@ -42,7 +42,10 @@ pub(crate) struct Settings {
 
 impl Settings {
     pub(crate) fn of_plan(plan: &Plan) -> Self {
-        Self { version: 0, members: plan.members.iter().map(|m| (m.enabled, m.weight)).collect() }
+        Self {
+            version: 0,
+            members: plan.members.iter().map(|m| (m.enabled, m.weight)).collect(),
+        }
     }
 
     pub(crate) fn messages(&self) -> Vec<MemberSetting> {
@@ -73,7 +76,9 @@ impl RunFolder {
             .map(PathBuf::from)
             .or_else(|| std::env::var_os("XDG_RUNTIME_DIR").map(|dir| PathBuf::from(dir).join("evpr")))
             .unwrap_or_else(|| PathBuf::from(format!("/tmp/evpr-{}", nix::unistd::getuid())));
-        Self { path: root.join(name) }
+        Self {
+            path: root.join(name),
+        }
     }
 
     /// The folder at this path.
@@ -98,9 +103,14 @@ impl RunFolder {
     /// Begins the names of everything that this instance puts into shared memory.
     pub(crate) fn prefix(&self) -> String {
         // FNV-1a of the folder: one folder, one prefix.
-        let hash = self.path.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325u64, |h, b| {
-            (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)
-        });
+        let hash = self
+            .path
+            .as_os_str()
+            .as_encoded_bytes()
+            .iter()
+            .fold(0xcbf2_9ce4_8422_2325u64, |h, b| {
+                (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)
+            });
         format!("evpr{:010x}_", hash & 0xff_ffff_ffff)
     }
 
@@ -117,7 +127,8 @@ impl RunFolder {
         }
         fs::create_dir_all(&self.path).map_err(|e| io_error("cannot create", &self.path, &e))?;
         let owner_only = fs::Permissions::from_mode(0o700);
-        fs::set_permissions(&self.path, owner_only).map_err(|e| io_error("cannot protect", &self.path, &e))?;
+        fs::set_permissions(&self.path, owner_only)
+            .map_err(|e| io_error("cannot protect", &self.path, &e))?;
         let path = self.path.join("lock");
         let file = File::options()
             .create(true)
@@ -143,7 +154,10 @@ impl RunFolder {
         let mut swept = 0;
         if let Ok(entries) = fs::read_dir("/dev/shm") {
             for entry in entries.flatten() {
-                let ours = entry.file_name().as_encoded_bytes().starts_with(prefix.as_bytes());
+                let ours = entry
+                    .file_name()
+                    .as_encoded_bytes()
+                    .starts_with(prefix.as_bytes());
                 if ours && fs::remove_file(entry.path()).is_ok() {
                     swept += 1;
                 }
@@ -200,7 +214,9 @@ impl RunFolder {
         let bad = |e| RuntimeError::ipc(format!("cannot use {} for shared memory", self.path.display()), e);
         let mut config = Config::default();
         config.global.prefix = FileName::new(self.prefix().as_bytes()).map_err(bad)?;
-        config.global.set_root_path(&Path::new(self.ipc_root().as_os_str().as_encoded_bytes()).map_err(bad)?);
+        config
+            .global
+            .set_root_path(&Path::new(self.ipc_root().as_os_str().as_encoded_bytes()).map_err(bad)?);
         let node_name = NodeName::new(name).map_err(|e| RuntimeError::ipc("bad node name", e))?;
         NodeBuilder::new()
             .name(&node_name)

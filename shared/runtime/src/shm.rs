@@ -24,7 +24,10 @@ pub fn room(plan: &Plan) -> Result<ShmRoom, RuntimeError> {
     let stat = nix::sys::statvfs::statvfs("/dev/shm")
         .map_err(|e| RuntimeError::Ipc(format!("cannot look at /dev/shm: {e}; is it mounted?")))?;
     let free = stat.blocks_available() as u64 * stat.fragment_size() as u64;
-    Ok(ShmRoom { needed: (plan.shared_memory_bytes() + BOOKKEEPING_BYTES) as u64, free })
+    Ok(ShmRoom {
+        needed: (plan.shared_memory_bytes() + BOOKKEEPING_BYTES) as u64,
+        free,
+    })
 }
 
 /// Refuses a plan that may not fit.

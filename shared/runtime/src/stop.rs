@@ -81,7 +81,11 @@ impl Stop {
 
     /// Listens for SIGTERM and SIGINT, and for SIGCHLD too when `children`; each also sends a wake-up.
     pub(crate) fn listen(wake: WakeSender, children: bool) -> Result<(Self, SignalListener), RuntimeError> {
-        let wanted: &[i32] = if children { &[SIGTERM, SIGINT, SIGCHLD] } else { &[SIGTERM, SIGINT] };
+        let wanted: &[i32] = if children {
+            &[SIGTERM, SIGINT, SIGCHLD]
+        } else {
+            &[SIGTERM, SIGINT]
+        };
         let mut signals = Signals::new(wanted)
             .map_err(|e| RuntimeError::Process(format!("cannot listen for signals: {e}")))?;
         let handle = signals.handle();
@@ -103,7 +107,13 @@ impl Stop {
                 }
             })
             .map_err(|e| RuntimeError::Process(format!("cannot start a thread: {e}")))?;
-        Ok((stop, SignalListener { handle, thread: Some(thread) }))
+        Ok((
+            stop,
+            SignalListener {
+                handle,
+                thread: Some(thread),
+            },
+        ))
     }
 }
 
@@ -112,8 +122,10 @@ pub(crate) fn wake_pair(
     node: &Node<Ipc>,
     name: &str,
 ) -> Result<(WakeSender, iceoryx2::port::listener::Listener<Ipc>), RuntimeError> {
-    let failed = |e: &dyn std::fmt::Debug| RuntimeError::Ipc(format!("cannot create the wake-up event: {e:?}"));
-    let service_name = ServiceName::new(&format!("wake/{name}/{}", std::process::id())).map_err(|e| failed(&e))?;
+    let failed =
+        |e: &dyn std::fmt::Debug| RuntimeError::Ipc(format!("cannot create the wake-up event: {e:?}"));
+    let service_name =
+        ServiceName::new(&format!("wake/{name}/{}", std::process::id())).map_err(|e| failed(&e))?;
     let event = node
         .service_builder(&service_name)
         .event()

@@ -31,10 +31,19 @@ impl Telemetry {
         identity: Identity,
         stop: &Stop,
     ) -> Result<Self, RuntimeError> {
-        let channel = plan.channel(&Topic::Stats).ok_or_else(|| RuntimeError::Ipc("no stats channel".to_owned()))?;
+        let channel = plan
+            .channel(&Topic::Stats)
+            .ok_or_else(|| RuntimeError::Ipc("no stats channel".to_owned()))?;
         let sender = ChannelSender::new(ChannelServices::open(node, &channel)?, identity, stop, 1)?;
-        let stats = StatsHeader { pid: std::process::id(), ..StatsHeader::default() };
-        Ok(Self { sender, stats, sent_ns: 0 })
+        let stats = StatsHeader {
+            pid: std::process::id(),
+            ..StatsHeader::default()
+        };
+        Ok(Self {
+            sender,
+            stats,
+            sent_ns: 0,
+        })
     }
 
     /// Changes the phase and says so at once.

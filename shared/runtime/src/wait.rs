@@ -23,12 +23,22 @@ pub(crate) fn wait_set() -> Result<WaitSet<Ipc>, RuntimeError> {
 }
 
 impl<'a> Waiter<'a> {
-    pub(crate) fn new(set: &'a WaitSet<Ipc>, listeners: Vec<&'a Listener<Ipc>>) -> Result<Self, RuntimeError> {
+    pub(crate) fn new(
+        set: &'a WaitSet<Ipc>,
+        listeners: Vec<&'a Listener<Ipc>>,
+    ) -> Result<Self, RuntimeError> {
         let guards = listeners
             .iter()
-            .map(|l| set.attach_notification(*l).map_err(|e| RuntimeError::ipc("cannot wait for a channel", e)))
+            .map(|l| {
+                set.attach_notification(*l)
+                    .map_err(|e| RuntimeError::ipc("cannot wait for a channel", e))
+            })
             .collect::<Result<Vec<_>, _>>()?;
-        Ok(Self { listeners, guards, set })
+        Ok(Self {
+            listeners,
+            guards,
+            set,
+        })
     }
 
     /// Blocks until a listener is notified or the time is over, and drains every listener, so that the caller may
@@ -39,7 +49,9 @@ impl<'a> Waiter<'a> {
             .wait_and_process_once_with_timeout(|_| CallbackProgression::Continue, timeout)
             .map_err(|e| RuntimeError::ipc("cannot wait for channels", e))?;
         for listener in &self.listeners {
-            listener.try_wait(|_| {}).map_err(|e| RuntimeError::ipc("cannot drain an event", e))?;
+            listener
+                .try_wait(|_| {})
+                .map_err(|e| RuntimeError::ipc("cannot drain an event", e))?;
         }
         Ok(())
     }

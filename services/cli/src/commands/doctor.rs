@@ -37,17 +37,32 @@ struct Finding {
 }
 
 fn finding(what: &'static str, verdict: Verdict, found: String, advice: &'static str) -> Finding {
-    Finding { what, verdict, found, advice: if verdict == Verdict::Ok { "" } else { advice } }
+    Finding {
+        what,
+        verdict,
+        found,
+        advice: if verdict == Verdict::Ok { "" } else { advice },
+    }
 }
 
 fn shared_memory() -> Finding {
-    const ADVICE: &str = "mount or enlarge /dev/shm (mount -o remount,size=256m /dev/shm; docker run --shm-size=256m)";
+    const ADVICE: &str =
+        "mount or enlarge /dev/shm (mount -o remount,size=256m /dev/shm; docker run --shm-size=256m)";
     match nix::sys::statvfs::statvfs("/dev/shm") {
-        Err(e) => finding("shared memory", Verdict::Failure, format!("/dev/shm: {e}"), ADVICE),
+        Err(e) => finding(
+            "shared memory",
+            Verdict::Failure,
+            format!("/dev/shm: {e}"),
+            ADVICE,
+        ),
         Ok(stat) => {
             let size = stat.blocks() * stat.fragment_size();
             let free = stat.blocks_available() * stat.fragment_size();
-            let verdict = if free < SMALL_SHM_BYTES { Verdict::Warning } else { Verdict::Ok };
+            let verdict = if free < SMALL_SHM_BYTES {
+                Verdict::Warning
+            } else {
+                Verdict::Ok
+            };
             let found = format!("/dev/shm: {} MiB, {} MiB free", size >> 20, free >> 20);
             finding("shared memory", verdict, found, ADVICE)
         }
@@ -59,18 +74,42 @@ fn writable(what: &'static str, folder: &Path, advice: &'static str) -> Finding 
     let tried = std::fs::create_dir_all(folder).and_then(|()| std::fs::write(&probe, b"x"));
     let _ = std::fs::remove_file(&probe);
     match tried {
-        Ok(()) => finding(what, Verdict::Ok, format!("{} can be written", folder.display()), advice),
-        Err(e) => finding(what, Verdict::Failure, format!("{}: {e}", folder.display()), advice),
+        Ok(()) => finding(
+            what,
+            Verdict::Ok,
+            format!("{} can be written", folder.display()),
+            advice,
+        ),
+        Err(e) => finding(
+            what,
+            Verdict::Failure,
+            format!("{}: {e}", folder.display()),
+            advice,
+        ),
     }
 }
 
 fn open_files() -> Finding {
     const ADVICE: &str = "raise it: ulimit -n 4096, or LimitNOFILE= in a systemd unit";
     match getrlimit(Resource::RLIMIT_NOFILE) {
-        Err(e) => finding("open files", Verdict::Warning, format!("the limit is not known: {e}"), ADVICE),
+        Err(e) => finding(
+            "open files",
+            Verdict::Warning,
+            format!("the limit is not known: {e}"),
+            ADVICE,
+        ),
         Ok((soft, _)) => {
-            let verdict = if soft < ENOUGH_FILES { Verdict::Warning } else { Verdict::Ok };
-            finding("open files", verdict, format!("at most {soft} per process"), ADVICE)
+            let verdict = if soft < ENOUGH_FILES {
+                Verdict::Warning
+            } else {
+                Verdict::Ok
+            };
+            finding(
+                "open files",
+                verdict,
+                format!("at most {soft} per process"),
+                ADVICE,
+            )
         }
     }
 }
@@ -80,7 +119,12 @@ fn processor() -> Finding {
     let features = features();
     let verdict = if cores < 2 { Verdict::Warning } else { Verdict::Ok };
     let found = format!("{cores} cores, {}, {features}", std::env::consts::ARCH);
-    finding("processor", verdict, found, "processes take turns on one core: expect higher latencies")
+    finding(
+        "processor",
+        verdict,
+        found,
+        "processes take turns on one core: expect higher latencies",
+    )
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -91,7 +135,11 @@ fn features() -> String {
         ("fma", is_x86_feature_detected!("fma")),
         ("avx512f", is_x86_feature_detected!("avx512f")),
     ];
-    let present: Vec<&str> = all.iter().filter(|(_, there)| *there).map(|(name, _)| *name).collect();
+    let present: Vec<&str> = all
+        .iter()
+        .filter(|(_, there)| *there)
+        .map(|(name, _)| *name)
+        .collect();
     present.join(" ")
 }
 
@@ -101,9 +149,15 @@ fn features() -> String {
 }
 
 fn clock() -> Finding {
-    const ADVICE: &str = "latencies cannot be measured better than this; use a kernel with high-resolution timers";
+    const ADVICE: &str =
+        "latencies cannot be measured better than this; use a kernel with high-resolution timers";
     match clock_getres(ClockId::CLOCK_MONOTONIC) {
-        Err(e) => finding("clock", Verdict::Failure, format!("no monotonic clock: {e}"), ADVICE),
+        Err(e) => finding(
+            "clock",
+            Verdict::Failure,
+            format!("no monotonic clock: {e}"),
+            ADVICE,
+        ),
         Ok(step) => {
             let ns = step.tv_sec() as u64 * 1_000_000_000 + step.tv_nsec() as u64;
             let verdict = if ns > 1_000 { Verdict::Warning } else { Verdict::Ok };
@@ -119,9 +173,18 @@ fn room(config: &Path) -> Result<Finding, Failure> {
         ..Overrides::default()
     };
     let room = evpr_runtime::room(&catalog::plan(config, &overrides)?)?;
-    let verdict = if room.needed > room.free { Verdict::Failure } else { Verdict::Ok };
+    let verdict = if room.needed > room.free {
+        Verdict::Failure
+    } else {
+        Verdict::Ok
+    };
     let found = format!("{} MiB needed, {} MiB free", room.needed >> 20, room.free >> 20);
-    Ok(finding("room for the plan", verdict, found, "enlarge /dev/shm, or use fewer members (see `evpr graph`)"))
+    Ok(finding(
+        "room for the plan",
+        verdict,
+        found,
+        "enlarge /dev/shm, or use fewer members (see `evpr graph`)",
+    ))
 }
 
 /// `evpr doctor`: exit code 1 when something keeps evpr from running.
@@ -130,8 +193,16 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<ExitCode, Failure> {
     let run_root = instance.path().parent().unwrap_or(instance.path());
     let mut findings = vec![
         shared_memory(),
-        writable("shared memory use", Path::new("/dev/shm"), "give this user the right to write there"),
-        writable("run folder", run_root, "set EVPR_RUN_DIR to a folder that this user may write"),
+        writable(
+            "shared memory use",
+            Path::new("/dev/shm"),
+            "give this user the right to write there",
+        ),
+        writable(
+            "run folder",
+            run_root,
+            "set EVPR_RUN_DIR to a folder that this user may write",
+        ),
         open_files(),
         processor(),
         clock(),
@@ -155,5 +226,9 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<ExitCode, Failure> {
         }
     }
     let failed = findings.iter().any(|f| f.verdict == Verdict::Failure);
-    Ok(if failed { ExitCode::FAILURE } else { ExitCode::SUCCESS })
+    Ok(if failed {
+        ExitCode::FAILURE
+    } else {
+        ExitCode::SUCCESS
+    })
 }

@@ -3,8 +3,8 @@
 use crate::args::{AlignArg, EventsCommand, EventsInfoArgs, ReconstructArgs};
 use crate::catalog::CATALOG;
 use crate::failure::Failure;
-use crate::output::say;
 use crate::frames_npy::FramesWriter;
+use crate::output::say;
 use crate::progress;
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
@@ -46,18 +46,49 @@ fn show(info: &RecordingInfo) {
     let row = |label: &str, value: String| say!("{label:<16} {value}");
     let unit_from = info.source.time_unit_from;
     row("recording", info.source.path.display().to_string());
-    row("format", format!("{}, times in {} (by {unit_from})", info.source.format, info.source.time_unit));
+    row(
+        "format",
+        format!(
+            "{}, times in {} (by {unit_from})",
+            info.source.format, info.source.time_unit
+        ),
+    );
     match (info.height, info.width) {
         (Some(height), Some(width)) => row("sensor", Sensor { height, width }.to_string()),
-        _ => row("sensor", format!("not told; largest row {}, largest column {}", info.max_y, info.max_x)),
+        _ => row(
+            "sensor",
+            format!(
+                "not told; largest row {}, largest column {}",
+                info.max_y, info.max_x
+            ),
+        ),
     }
-    row("events", format!("{}, {:.1} % ON", info.events, info.on_share * 100.0));
-    row("time", format!("{} to {} ns, {:.3} s", info.first_ns, info.last_ns, info.duration_s));
-    row("rate", format!("{:.0} events/s, at most {:.0} over 100 ms", info.mean_rate_hz, info.peak_rate_hz));
+    row(
+        "events",
+        format!("{}, {:.1} % ON", info.events, info.on_share * 100.0),
+    );
+    row(
+        "time",
+        format!(
+            "{} to {} ns, {:.3} s",
+            info.first_ns, info.last_ns, info.duration_s
+        ),
+    );
+    row(
+        "rate",
+        format!(
+            "{:.0} events/s, at most {:.0} over 100 ms",
+            info.mean_rate_hz, info.peak_rate_hz
+        ),
+    );
     row("longest gap", format!("{:.3} ms", info.max_gap_ns as f64 / 1e6));
     row("backward times", info.backward_times.to_string());
     row("equal times", info.duplicate_times.to_string());
-    row("outside sensor", info.outside_sensor.map_or_else(|| "unknown".to_owned(), |n| n.to_string()));
+    row(
+        "outside sensor",
+        info.outside_sensor
+            .map_or_else(|| "unknown".to_owned(), |n| n.to_string()),
+    );
 }
 
 /// The configuration that stands for the options, so that they are checked in one place.
@@ -72,11 +103,24 @@ fn as_config(args: &ReconstructArgs, sensor: Sensor) -> String {
         Origin::Grid(step) => format!("\"grid:{}\"", format_duration(step)),
         Origin::At(ns) => ns.to_string(),
     };
-    let _ = writeln!(text, "[sensor]\nheight = {}\nwidth = {}", sensor.height, sensor.width);
+    let _ = writeln!(
+        text,
+        "[sensor]\nheight = {}\nwidth = {}",
+        sensor.height, sensor.width
+    );
     let _ = writeln!(text, "[slicing]\ntick = \"{}\"", format_duration(args.tick));
-    let _ = writeln!(text, "windows = [\"{}\"]\nalign = \"{}\"", format_duration(args.window), align.name());
+    let _ = writeln!(
+        text,
+        "windows = [\"{}\"]\nalign = \"{}\"",
+        format_duration(args.window),
+        align.name()
+    );
     let _ = writeln!(text, "origin = {origin}");
-    let _ = writeln!(text, "[[reconstruction]]\nid = \"frames\"\nkind = {:?}", args.method);
+    let _ = writeln!(
+        text,
+        "[[reconstruction]]\nid = \"frames\"\nkind = {:?}",
+        args.method
+    );
     let params: Vec<String> = args.param.iter().map(|p| as_toml(p)).collect();
     let _ = writeln!(text, "params = {{ {} }}", params.join(", "));
     let _ = writeln!(text, "[[extractor]]\nid = \"none\"\nkind = \"raw_pixels\"");
@@ -86,13 +130,22 @@ fn as_config(args: &ReconstructArgs, sensor: Sensor) -> String {
 /// `tau=50ms` as TOML: numbers stay numbers, everything else is a string.
 fn as_toml(param: &str) -> String {
     let (name, value) = param.split_once('=').unwrap_or((param, ""));
-    if value.parse::<f64>().is_ok() { format!("{name} = {value}") } else { format!("{name} = {value:?}") }
+    if value.parse::<f64>().is_ok() {
+        format!("{name} = {value}")
+    } else {
+        format!("{name} = {value:?}")
+    }
 }
 
 fn parse_sensor(text: &str) -> Result<Sensor, Failure> {
-    let parsed = text.split_once('x').and_then(|(h, w)| Some((h.parse().ok()?, w.parse().ok()?)));
-    let (height, width) = parsed
-        .ok_or_else(|| Failure::usage(format!("--sensor {text} is not a size; write HEIGHTxWIDTH, such as 260x346")))?;
+    let parsed = text
+        .split_once('x')
+        .and_then(|(h, w)| Some((h.parse().ok()?, w.parse().ok()?)));
+    let (height, width) = parsed.ok_or_else(|| {
+        Failure::usage(format!(
+            "--sensor {text} is not a size; write HEIGHTxWIDTH, such as 260x346"
+        ))
+    })?;
     Ok(Sensor { height, width })
 }
 
@@ -106,7 +159,10 @@ fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
         ))
     })?;
     let config = config::parse(&as_config(args, sensor), "command line", &CATALOG).map_err(Failure::usage)?;
-    let overrides = Overrides { input: Some(args.input.clone()), ..Overrides::default() };
+    let overrides = Overrides {
+        input: Some(args.input.clone()),
+        ..Overrides::default()
+    };
     config.resolve(sensor, &overrides).map_err(Failure::usage)
 }
 
@@ -180,7 +236,15 @@ impl IngestPort for Chain<'_> {
     }
 
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, _skipped: u64) {
-        progress::show(&self.bar, &Progress { permille, events, answers: next_tick, recorded: 0 });
+        progress::show(
+            &self.bar,
+            &Progress {
+                permille,
+                events,
+                answers: next_tick,
+                recorded: 0,
+            },
+        );
     }
 }
 
@@ -195,7 +259,11 @@ fn reconstruct(args: &ReconstructArgs) -> Result<ExitCode, Failure> {
         events: Vec::new(),
         seq: 0,
         end: None,
-        out: WriteFrames { writer, path: &args.out, frame: Vec::new() },
+        out: WriteFrames {
+            writer,
+            path: &args.out,
+            frame: Vec::new(),
+        },
         bar: progress::bar(false, "reconstructing"),
     };
     let stop = evpr_runtime::Stop::new();

@@ -13,7 +13,11 @@ use std::process::ExitCode;
 /// `evpr validate`.
 pub(crate) fn validate(args: &ConfigArgs) -> Result<ExitCode, Failure> {
     let config = catalog::load(&args.config)?;
-    say!("{}: ok, {} members", args.config.display(), config.members().len());
+    say!(
+        "{}: ok, {} members",
+        args.config.display(),
+        config.members().len()
+    );
     Ok(ExitCode::SUCCESS)
 }
 
@@ -54,7 +58,9 @@ fn report(plan: &Plan) -> Result<GraphReport, Failure> {
     Ok(GraphReport {
         sensor: plan.sensor,
         tick: plan.slicing.tick_id(),
-        windows: (0..plan.slicing.windows.len()).map(|w| plan.slicing.window_id(w)).collect(),
+        windows: (0..plan.slicing.windows.len())
+            .map(|w| plan.slicing.window_id(w))
+            .collect(),
         processes: plan.services().into_iter().map(|s| s.name).collect(),
         members: plan.members.iter().map(|m| m.name.clone()).collect(),
         channels: channels.collect(),
@@ -90,7 +96,12 @@ pub(crate) fn graph(args: &GraphArgs) -> Result<ExitCode, Failure> {
     let width = report.channels.iter().map(|c| c.channel.len()).max().unwrap_or(7);
     say!(
         "{:<width$}  {:>4}  {:>4}  {:>6}  {:>13}  {:>12}  delivery",
-        "channel", "pubs", "subs", "buffer", "message bytes", "reserved MiB"
+        "channel",
+        "pubs",
+        "subs",
+        "buffer",
+        "message bytes",
+        "reserved MiB"
     );
     for c in &report.channels {
         say!(

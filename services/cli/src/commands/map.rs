@@ -25,15 +25,26 @@ fn build(args: &MapBuildArgs) -> Result<ExitCode, Failure> {
             args.out.display()
         )));
     }
-    let plan = catalog::plan(&args.graph.config.config, &overrides(&args.graph, &None, &Some(args.out.clone())))?;
+    let plan = catalog::plan(
+        &args.graph.config.config,
+        &overrides(&args.graph, &None, &Some(args.out.clone())),
+    )?;
     let code = supervise(plan, None, args.graph.quiet, "mapping")?;
     if !args.out.exists() {
-        eprintln!("{}: stopped before the first tick was complete; there is no map", args.out.display());
+        eprintln!(
+            "{}: stopped before the first tick was complete; there is no map",
+            args.out.display()
+        );
         return Ok(code);
     }
     let map = Traverse::open(&args.out)?;
     if !args.graph.quiet {
-        eprintln!("{}: {} ticks, {} members", args.out.display(), map.len(), map.manifest().members.len());
+        eprintln!(
+            "{}: {} ticks, {} members",
+            args.out.display(),
+            map.len(),
+            map.manifest().members.len()
+        );
     }
     Ok(code)
 }
@@ -47,11 +58,20 @@ fn info(args: &MapArgs) -> Result<ExitCode, Failure> {
     }
     let positions = map.ticks().iter().filter(|t| t.position.is_some()).count();
     say!("sensor     {}", manifest.sensor);
-    say!("tick       {}, align {}", manifest.slicing.tick_id(), manifest.slicing.align.name());
+    say!(
+        "tick       {}, align {}",
+        manifest.slicing.tick_id(),
+        manifest.slicing.align.name()
+    );
     say!("source     {}", manifest.source);
     say!("ticks      {}, {positions} with a position", map.len());
     if let (Some(first), Some(last)) = (map.ticks().first(), map.ticks().last()) {
-        say!("time       {} µs to {} µs ({:.1} s)", first.start_us, last.end_us, (last.end_us - first.start_us) as f64 / 1e6);
+        say!(
+            "time       {} µs to {} µs ({:.1} s)",
+            first.start_us,
+            last.end_us,
+            (last.end_us - first.start_us) as f64 / 1e6
+        );
     }
     let width = manifest.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
     say!("\n{:<width$}  {:>6}  {:>9}", "member", "dim", "with row");

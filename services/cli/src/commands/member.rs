@@ -8,7 +8,11 @@ use std::process::ExitCode;
 
 /// `evpr member …`.
 pub(crate) fn member(command: MemberCommand) -> Result<ExitCode, Failure> {
-    let set = |members, enabled, weight| ControlRequest::Set { members, enabled, weight };
+    let set = |members, enabled, weight| ControlRequest::Set {
+        members,
+        enabled,
+        weight,
+    };
     let (instance, request) = match command {
         MemberCommand::List(instance) => (instance, ControlRequest::List),
         MemberCommand::Enable(args) => (args.instance, set(args.members, Some(true), None)),
@@ -32,7 +36,12 @@ fn ask(instance: &InstanceArgs, request: &ControlRequest) -> Result<ExitCode, Fa
             let width = reply.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
             say!("{:<width$}  {:<8}  weight", "member", "state");
             for m in &reply.members {
-                say!("{:<width$}  {:<8}  {}", m.name, if m.enabled { "enabled" } else { "disabled" }, m.weight);
+                say!(
+                    "{:<width$}  {:<8}  {}",
+                    m.name,
+                    if m.enabled { "enabled" } else { "disabled" },
+                    m.weight
+                );
             }
         }
         (ControlRequest::Set { .. }, Some(tick)) => say!("in force from tick {tick} on"),

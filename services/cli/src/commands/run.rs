@@ -28,7 +28,10 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
              built by `evpr map build`)",
         ));
     }
-    let plan = catalog::plan(&args.graph.config.config, &overrides(&args.graph, &args.map, &args.record))?;
+    let plan = catalog::plan(
+        &args.graph.config.config,
+        &overrides(&args.graph, &args.map, &args.record),
+    )?;
     if let Some(map) = &plan.map {
         // The fuser checks again; here a wrong map is refused before anything is started.
         evpr_store::Traverse::open(map)?.check_against(&plan)?;
@@ -41,11 +44,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
 }
 
 /// The command line's part of the plan.
-pub(crate) fn overrides(
-    args: &GraphRunArgs,
-    map: &Option<PathBuf>,
-    record: &Option<PathBuf>,
-) -> Overrides {
+pub(crate) fn overrides(args: &GraphRunArgs, map: &Option<PathBuf>, record: &Option<PathBuf>) -> Overrides {
     Overrides {
         name: args.name.clone(),
         input: args.input.clone(),
@@ -96,7 +95,11 @@ pub(crate) fn supervise(
         command
     };
     let supervisor = Supervisor::new(plan.clone(), folder, Box::new(command))?;
-    let mut hooks = CliHooks { plan, writer, bar: progress::bar(quiet, what) };
+    let mut hooks = CliHooks {
+        plan,
+        writer,
+        bar: progress::bar(quiet, what),
+    };
     let summary = supervisor.run(&mut hooks);
     hooks.bar.finish_and_clear();
     let summary = summary?;
@@ -108,7 +111,11 @@ pub(crate) fn supervise(
 
 /// What the run's end means for who started it.
 fn conclude(plan: &Plan, summary: RunSummary) -> Result<ExitCode, Failure> {
-    let recorded = summary.services.iter().find(|s| s.kind == ServiceKind::Record).map_or(0, |s| s.stats.next_tick);
+    let recorded = summary
+        .services
+        .iter()
+        .find(|s| s.kind == ServiceKind::Record)
+        .map_or(0, |s| s.stats.next_tick);
     match summary.outcome {
         Outcome::Finished if summary.answers.max(recorded) == 0 => Err(Failure::new(format!(
             "{}: no tick ({}) is complete, so there is nothing to {}; use a longer recording, or a shorter tick",
@@ -120,7 +127,10 @@ fn conclude(plan: &Plan, summary: RunSummary) -> Result<ExitCode, Failure> {
         Outcome::Interrupted => Ok(ExitCode::from(EXIT_INTERRUPTED)),
         Outcome::Failed => {
             if let Some(path) = plan.record.as_ref().filter(|path| recorded > 0 && path.exists()) {
-                warn!("{}: the {recorded} ticks before the failure are kept", path.display());
+                warn!(
+                    "{}: the {recorded} ticks before the failure are kept",
+                    path.display()
+                );
             }
             Err(summary.failure.map_or_else(Failure::said_already, Failure::new))
         }
@@ -129,7 +139,11 @@ fn conclude(plan: &Plan, summary: RunSummary) -> Result<ExitCode, Failure> {
 
 fn service_command(executable: &Path, run_folder: &Path, service: &Service, spawn: &Spawn) -> Command {
     let mut command = Command::new(executable);
-    command.arg("service").arg(service.kind.name()).arg("--run-folder").arg(run_folder);
+    command
+        .arg("service")
+        .arg(service.kind.name())
+        .arg("--run-folder")
+        .arg(run_folder);
     for (name, value) in [
         ("--service", spawn.service.to_string()),
         ("--incarnation", spawn.incarnation.to_string()),
@@ -140,7 +154,10 @@ fn service_command(executable: &Path, run_folder: &Path, service: &Service, spaw
         command.args([name, &value]);
     }
     // A process group of its own: Ctrl-C reaches the supervisor alone, which ends the graph upstream first.
-    command.stdin(Stdio::null()).stdout(Stdio::null()).process_group(0);
+    command
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .process_group(0);
     command
 }
 

@@ -27,7 +27,9 @@ fn read_matrix(path: &Path) -> Result<Array2<f64>, Failure> {
 /// `evpr sequence-match`.
 pub(crate) fn sequence_match(args: &SequenceMatchArgs) -> Result<ExitCode, Failure> {
     if args.length == 0 {
-        return Err(Failure::usage("--length 0 makes no sense; give a number of ticks of 1 or more"));
+        return Err(Failure::usage(
+            "--length 0 makes no sense; give a number of ticks of 1 or more",
+        ));
     }
     let similarity = read_matrix(&args.similarity)?;
     if let Some(((q, r), value)) = similarity.indexed_iter().find(|(_, v)| !v.is_finite()) {

@@ -18,7 +18,8 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
     let index = ctx.service.index;
     match ctx.service.kind {
         ServiceKind::Ingest => {
-            let ingest = evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
+            let ingest =
+                evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
             run_ingest(ctx, |port| ingest.run(port).map(|_| ()))?;
         }
         ServiceKind::Reconstruct => {
@@ -28,7 +29,11 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
         }
         ServiceKind::Extract => {
             let mut stage = evpr_extract::build(&plan, index)?;
-            let inputs: Vec<_> = plan.reconstructions.iter().map(|r| Topic::Frames(r.id.clone())).collect();
+            let inputs: Vec<_> = plan
+                .reconstructions
+                .iter()
+                .map(|r| Topic::Frames(r.id.clone()))
+                .collect();
             let output = Topic::Descriptors(plan.extractors[index].id.clone());
             run_stage(ctx, &inputs, &output, &mut stage)?;
         }

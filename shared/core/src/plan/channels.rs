@@ -154,7 +154,11 @@ impl Plan {
         for e in &self.extractors {
             let header = size_of::<DescriptorHeader>();
             // Rows are small: room for several ticks of them, so that a sink that computes loses none.
-            let buffer = if lossless { (2 * rows_per_tick).max(4) } else { (4 * rows_per_tick).max(64) };
+            let buffer = if lossless {
+                (2 * rows_per_tick).max(4)
+            } else {
+                (4 * rows_per_tick).max(64)
+            };
             add(
                 Topic::Descriptors(e.id.clone()),
                 e.dim,

@@ -7,7 +7,9 @@ use crate::clock::now_ns;
 use crate::domain::Settings;
 use crate::telemetry::HEARTBEAT;
 use crate::wait::{Waiter, wait_set};
-use evpr_core::message::{ChunkHeader, Chunks, Control, Event, MemberSetting, ServicePhase, TickHeader, TickKind, Ticks};
+use evpr_core::message::{
+    ChunkHeader, Chunks, Control, Event, MemberSetting, ServicePhase, TickHeader, TickKind, Ticks,
+};
 use evpr_core::plan::{Delivery, Topic};
 use evpr_core::stage::{IngestPort, Outlet, StageError};
 use std::time::Duration;
@@ -49,7 +51,8 @@ impl IngestPort for Port {
         if header.kind == TickKind::End as u32 {
             self.end = Some(header);
         }
-        self.ticks.emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
+        self.ticks
+            .emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
     }
 
     fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
@@ -78,7 +81,10 @@ impl IngestPort for Port {
             let pause = Duration::from_nanos(ns - now).min(HEARTBEAT);
             match self.ctx.stop.signal().recv_timeout(pause) {
                 Err(crossbeam::channel::RecvTimeoutError::Timeout) => {
-                    self.ctx.telemetry.beat().map_err(|e| StageError::Fatal(e.to_string()))?;
+                    self.ctx
+                        .telemetry
+                        .beat()
+                        .map_err(|e| StageError::Fatal(e.to_string()))?;
                 }
                 _ => return Err(StageError::Stopped),
             }
@@ -111,14 +117,22 @@ pub fn run_ingest(
     let ticks = ctx.sender(&Topic::Ticks, 2)?;
     let control = ctx.receiver(&Topic::Control)?;
     let inherited = ctx.folder.read_settings()?;
-    let mut port = Port { ctx, chunks, ticks, control, inherited, version: 0, end: None };
+    let mut port = Port {
+        ctx,
+        chunks,
+        ticks,
+        control,
+        inherited,
+        version: 0,
+        end: None,
+    };
     port.ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!("ready");
     let outcome = work(&mut port);
     let stopped_by = port.ctx.stop.count();
     port.ctx.telemetry.phase(ServicePhase::Done)?;
-    let set = wait_set()?;
-    let waiter = Waiter::new(&set, vec![&port.ctx.wake])?;
+    let (set, wake) = (wait_set()?, port.ctx.wake.clone());
+    let waiter = Waiter::new(&set, vec![&wake])?;
     // A failed source has sent its end too; what came before it is answered before the failure is reported.
     let latest = port.ctx.plan.delivery == Delivery::Latest;
     while port.ctx.stop.count() <= stopped_by.min(1) {
@@ -126,7 +140,9 @@ pub fn run_ingest(
         port.ctx.telemetry.beat()?;
         // In latest delivery it may have been lost like any other message.
         if let Some(end) = port.end.filter(|_| latest) {
-            port.ticks.emit(end, 0, &mut |_| {}).map_err(|e| RuntimeError::Stage(e.to_string()))?;
+            port.ticks
+                .emit(end, 0, &mut |_| {})
+                .map_err(|e| RuntimeError::Stage(e.to_string()))?;
         }
     }
     match outcome {

@@ -18,6 +18,7 @@ use evpr_core::message::{Message, Stamp};
 use evpr_core::plan::{Service, Topic};
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
+use std::rc::Rc;
 
 /// Which process of which run this is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,7 +56,7 @@ pub struct ServiceContext {
     pub service: Service,
     folder: RunFolder,
     stop: Stop,
-    wake: Listener<Ipc>,
+    wake: Rc<Listener<Ipc>>,
     telemetry: Telemetry,
     node: Node<Ipc>,
     _signals: SignalListener,
@@ -67,19 +68,37 @@ impl ServiceContext {
     /// # Errors
     /// When the folder holds no run, or shared memory cannot be joined.
     pub fn join(folder: RunFolder, service: usize, incarnation: u32) -> Result<Self, RuntimeError> {
-        let RunSpec { run_id, supervisor, plan } = folder.read_spec()?;
+        let RunSpec {
+            run_id,
+            supervisor,
+            plan,
+        } = folder.read_spec()?;
         die_with(supervisor)?;
         let described = plan
             .services()
             .get(service)
             .cloned()
             .ok_or_else(|| RuntimeError::Folder(format!("the plan has no service number {service}")))?;
-        let identity = Identity { run_id, service: service as u32, incarnation };
+        let identity = Identity {
+            run_id,
+            service: service as u32,
+            incarnation,
+        };
         let node = folder.node(&described.name)?;
         let (wake_sender, wake) = wake_pair(&node, &format!("{service}"))?;
         let (stop, signals) = Stop::listen(wake_sender, false)?;
         let telemetry = Telemetry::new(&node, &plan, identity, &stop)?;
-        Ok(Self { plan, identity, service: described, folder, stop, wake, telemetry, node, _signals: signals })
+        Ok(Self {
+            plan,
+            identity,
+            service: described,
+            folder,
+            stop,
+            wake: Rc::new(wake),
+            telemetry,
+            node,
+            _signals: signals,
+        })
     }
 
     /// The stop flag, raised by SIGTERM and SIGINT.
@@ -109,7 +128,9 @@ fn die_with(supervisor: u32) -> Result<(), RuntimeError> {
     nix::sys::prctl::set_pdeathsig(nix::sys::signal::Signal::SIGTERM)
         .map_err(|e| RuntimeError::Process(format!("cannot ask to end with the supervisor: {e}")))?;
     if nix::unistd::getppid().as_raw() as u32 != supervisor {
-        return Err(RuntimeError::Process("the supervisor of this run has gone".to_owned()));
+        return Err(RuntimeError::Process(
+            "the supervisor of this run has gone".to_owned(),
+        ));
     }
     Ok(())
 }

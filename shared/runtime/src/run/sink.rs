@@ -15,53 +15,78 @@ use tracing::{debug, trace, warn};
 /// Messages taken from one channel before the others have their turn.
 const BATCH: usize = 32;
 
-struct Inputs {
+struct Channels {
     rows: Vec<ChannelReceiver<Descriptors>>,
     ticks: ChannelReceiver<Ticks>,
     lifecycle: ChannelReceiver<Lifecycle>,
+}
+
+struct Inputs<'c> {
+    channels: &'c Channels,
     /// The newest word on who is dead, until every row sent before it has been taken.
     dead: Option<Vec<ServiceState>>,
     warnings: RateLimit,
 }
 
-impl Inputs {
+impl Channels {
     fn open(ctx: &ServiceContext) -> Result<Self, RuntimeError> {
         let topic = |id: &String| Topic::Descriptors(id.clone());
-        let rows = ctx.plan.extractors.iter().map(|e| ctx.receiver(&topic(&e.id))).collect::<Result<_, _>>()?;
+        let rows = ctx
+            .plan
+            .extractors
+            .iter()
+            .map(|e| ctx.receiver(&topic(&e.id)))
+            .collect::<Result<_, _>>()?;
         Ok(Self {
             rows,
             ticks: ctx.receiver(&Topic::Ticks)?,
             lifecycle: ctx.receiver(&Topic::Lifecycle)?,
-            dead: None,
-            warnings: RateLimit::default(),
         })
     }
+}
 
+impl Inputs<'_> {
     /// One turn over all channels; true when something came.
     fn turn(&mut self, ctx: &mut ServiceContext, sink: &mut dyn Sink) -> Result<bool, RuntimeError> {
         let mut came = false;
         let mut rows_left = false;
-        while let Some(message) = self.lifecycle.receive()? {
+        while let Some(message) = self.channels.lifecycle.receive()? {
             self.dead = Some(message.payload().to_vec());
         }
         for _ in 0..BATCH {
-            let Some(message) = self.ticks.receive()? else { break };
+            let Some(message) = self.channels.ticks.receive()? else {
+                break;
+            };
             came = true;
             let outcome = sink.tick(message.header(), message.payload());
-            trace!(tick = message.header().tick, kind = message.header().kind, gap = message.gap, "tick message");
+            trace!(
+                tick = message.header().tick,
+                kind = message.header().kind,
+                gap = message.gap,
+                "tick message"
+            );
             self.skipped(ctx, message.header().tick, outcome)?;
         }
-        for index in 0..self.rows.len() {
+        for index in 0..self.channels.rows.len() {
             let mut taken = 0;
             while taken < BATCH {
-                let Some(message) = self.rows[index].receive()? else { break };
+                let Some(message) = self.channels.rows[index].receive()? else {
+                    break;
+                };
                 taken += 1;
                 let started = now_ns();
                 let outcome = sink.descriptor(message.header(), message.payload());
-                trace!(tick = message.header().tick, member = message.header().member, gap = message.gap, "row");
+                trace!(
+                    tick = message.header().tick,
+                    member = message.header().member,
+                    gap = message.gap,
+                    "row"
+                );
                 let stats = &mut ctx.telemetry.stats;
                 stats.received += 1;
-                stats.waiting.record(started.saturating_sub(message.header().stamp().sent_ns));
+                stats
+                    .waiting
+                    .record(started.saturating_sub(message.header().stamp().sent_ns));
                 self.skipped(ctx, message.header().tick, outcome)?;
             }
             came |= taken > 0;
@@ -71,8 +96,14 @@ impl Inputs {
             sink.lifecycle(&dead);
         }
         let stats = &mut ctx.telemetry.stats;
-        stats.dropped = self.rows.iter().map(|r| r.lost).sum();
-        stats.refused = self.rows.iter().map(|r| r.refused).sum::<u64>() + self.ticks.refused;
+        stats.dropped = self.channels.rows.iter().map(ChannelReceiver::lost).sum();
+        stats.refused = self
+            .channels
+            .rows
+            .iter()
+            .map(ChannelReceiver::refused)
+            .sum::<u64>()
+            + self.channels.ticks.refused();
         Ok(came)
     }
 
@@ -101,20 +132,27 @@ impl Inputs {
 /// # Errors
 /// When shared memory fails or the sink cannot go on.
 pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> Result<(), RuntimeError> {
-    let mut inputs = Inputs::open(&ctx)?;
-    let mut matches: Option<ChannelSender<Matches>> =
-        if answers { Some(ctx.sender(&Topic::Matches, 1)?) } else { None };
+    let channels = Channels::open(&ctx)?;
+    let mut inputs = Inputs {
+        channels: &channels,
+        dead: None,
+        warnings: RateLimit::default(),
+    };
+    let mut matches: Option<ChannelSender<Matches>> = if answers {
+        Some(ctx.sender(&Topic::Matches, 1)?)
+    } else {
+        None
+    };
     ctx.telemetry.stats.next_tick = sink.next_tick();
     ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!(service = ctx.service.name, next_tick = sink.next_tick(), "ready");
-    let set = wait_set()?;
+    let (set, wake) = (wait_set()?, ctx.wake.clone());
+    let mut listeners: Vec<_> = channels.rows.iter().map(ChannelReceiver::listener).collect();
+    listeners.extend([channels.ticks.listener(), channels.lifecycle.listener(), &wake]);
+    let waiter = Waiter::new(&set, listeners)?;
     let mut done = false;
     while !ctx.stop.requested() {
-        {
-            let mut listeners: Vec<_> = inputs.rows.iter().map(ChannelReceiver::listener).collect();
-            listeners.extend([inputs.ticks.listener(), inputs.lifecycle.listener(), &ctx.wake]);
-            Waiter::new(&set, listeners)?.wait(timeout(sink.deadline_ns()))?;
-        }
+        waiter.wait(timeout(sink.deadline_ns()))?;
         loop {
             let came = inputs.turn(&mut ctx, sink)?;
             let started = now_ns();
@@ -152,6 +190,8 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
 }
 
 fn timeout(deadline_ns: Option<u64>) -> Duration {
-    let due = deadline_ns.map_or(Duration::MAX, |due| Duration::from_nanos(due.saturating_sub(now_ns())));
+    let due = deadline_ns.map_or(Duration::MAX, |due| {
+        Duration::from_nanos(due.saturating_sub(now_ns()))
+    });
     due.min(HEARTBEAT)
 }

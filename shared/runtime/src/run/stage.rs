@@ -49,7 +49,7 @@ struct Loop<'a, S: Stage> {
 
 impl<S: Stage> Loop<'_, S> {
     fn newest_tick(&mut self) -> Result<(), RuntimeError> {
-        if let Some(ticks) = &mut self.ticks {
+        if let Some(ticks) = &self.ticks {
             while let Some(message) = ticks.receive()? {
                 if message.header().kind == TickKind::Open as u32 {
                     self.drop.newest = self.drop.newest.max(message.header().tick);
@@ -64,7 +64,9 @@ impl<S: Stage> Loop<'_, S> {
         let started = now_ns();
         let stats = &mut ctx.telemetry.stats;
         stats.received += 1;
-        stats.waiting.record(started.saturating_sub(header.stamp().sent_ns));
+        stats
+            .waiting
+            .record(started.saturating_sub(header.stamp().sent_ns));
         self.sender.started_ns = started;
         let dropped = self.ticks.is_some() && self.drop.drops(header.tick(), message.gap);
         let outcome = if dropped {
@@ -99,26 +101,37 @@ pub fn run_stage<S: Stage>(
     output: &Topic,
     stage: &mut S,
 ) -> Result<(), RuntimeError> {
-    let mut receivers =
-        inputs.iter().map(|topic| ctx.receiver::<S::In>(topic)).collect::<Result<Vec<_>, _>>()?;
+    let receivers = inputs
+        .iter()
+        .map(|topic| ctx.receiver::<S::In>(topic))
+        .collect::<Result<Vec<_>, _>>()?;
     let latest = ctx.plan.delivery == Delivery::Latest;
-    let ticks = if latest { Some(ctx.receiver::<Ticks>(&Topic::Ticks)?) } else { None };
+    let ticks = if latest {
+        Some(ctx.receiver::<Ticks>(&Topic::Ticks)?)
+    } else {
+        None
+    };
     let sender = ctx.sender(output, 1)?;
-    let mut state = Loop { stage, sender, ticks, drop: TickDrop::default(), warnings: RateLimit::default() };
+    let mut state = Loop {
+        stage,
+        sender,
+        ticks,
+        drop: TickDrop::default(),
+        warnings: RateLimit::default(),
+    };
     ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!(service = ctx.service.name, "ready");
-    let set = wait_set()?;
+    let (set, wake) = (wait_set()?, ctx.wake.clone());
+    let mut listeners: Vec<_> = receivers.iter().map(ChannelReceiver::listener).collect();
+    listeners.push(&wake);
+    let waiter = Waiter::new(&set, listeners)?;
     loop {
-        {
-            let mut listeners: Vec<_> = receivers.iter().map(ChannelReceiver::listener).collect();
-            listeners.push(&ctx.wake);
-            Waiter::new(&set, listeners)?.wait(HEARTBEAT)?;
-        }
+        waiter.wait(HEARTBEAT)?;
         let mut came = true;
         while came {
             came = false;
             state.newest_tick()?;
-            for receiver in &mut receivers {
+            for receiver in &receivers {
                 if ctx.stop.requested() {
                     return ctx.telemetry.send();
                 }
@@ -131,7 +144,7 @@ pub fn run_stage<S: Stage>(
                 }
             }
             let stats = &mut ctx.telemetry.stats;
-            stats.refused = receivers.iter().map(|r| r.refused).sum();
+            stats.refused = receivers.iter().map(ChannelReceiver::refused).sum();
             ctx.telemetry.beat()?;
         }
         if ctx.stop.requested() {

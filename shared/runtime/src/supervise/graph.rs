@@ -12,8 +12,8 @@ use crate::wait::{Waiter, wait_set};
 use crate::{RuntimeError, now_ns, shm};
 use evpr_core::Plan;
 use evpr_core::message::{
-    Candidate, Chunks, Control, ControlHeader, Descriptors, Frames, Header, Lifecycle, LifecycleHeader, MatchHeader,
-    Matches, Message, ServiceHealth, ServicePhase, Stats, StatsHeader, TickKind, Ticks,
+    Candidate, Chunks, Control, ControlHeader, Descriptors, Frames, Header, Lifecycle, LifecycleHeader,
+    MatchHeader, Matches, Message, ServiceHealth, ServicePhase, Stats, StatsHeader, TickKind, Ticks,
 };
 use evpr_core::plan::{Delivery, SequenceMethod, Service, ServiceKind, Topic};
 use evpr_core::stage::Outlet;
@@ -109,7 +109,9 @@ enum State {
     Starting,
     Running,
     /// Ingest was asked to end; the rest finishes what is under way.
-    Draining { since: Instant },
+    Draining {
+        since: Instant,
+    },
     /// Ending everything, upstream first.
     Stopping,
 }
@@ -148,8 +150,14 @@ struct Ports {
     control: ChannelSender<Control>,
 }
 
-fn hold<M: Message>(node: &Node<Ipc>, plan: &Plan, topic: &Topic) -> Result<ChannelServices<M>, RuntimeError> {
-    let channel = plan.channel(topic).ok_or_else(|| RuntimeError::Ipc(format!("no channel {topic}")))?;
+fn hold<M: Message>(
+    node: &Node<Ipc>,
+    plan: &Plan,
+    topic: &Topic,
+) -> Result<ChannelServices<M>, RuntimeError> {
+    let channel = plan
+        .channel(topic)
+        .ok_or_else(|| RuntimeError::Ipc(format!("no channel {topic}")))?;
     ChannelServices::open(node, &channel)
 }
 
@@ -159,18 +167,19 @@ impl Supervisor {
     ///
     /// # Errors
     /// When an instance of this name runs, shared memory is too small, or the folder cannot be used.
-    pub fn new(
-        plan: Plan,
-        folder: RunFolder,
-        command: CommandLine,
-    ) -> Result<Self, RuntimeError> {
+    pub fn new(plan: Plan, folder: RunFolder, command: CommandLine) -> Result<Self, RuntimeError> {
         let lock = folder.lock()?;
         let swept = folder.sweep();
         if swept > 0 {
-            warn!("an earlier run of this instance was cut short; removed the {swept} files it had left in shared memory");
+            warn!(
+                "an earlier run of this instance was cut short; removed the {swept} files it had left in shared memory"
+            );
         }
         match Self::assemble(plan, folder.clone(), command) {
-            Ok(supervisor) => Ok(Self { _lock: Some(lock), ..supervisor }),
+            Ok(supervisor) => Ok(Self {
+                _lock: Some(lock),
+                ..supervisor
+            }),
             Err(e) => {
                 folder.sweep();
                 folder.remove();
@@ -183,22 +192,42 @@ impl Supervisor {
     fn assemble(plan: Plan, folder: RunFolder, command: CommandLine) -> Result<Self, RuntimeError> {
         shm::check(&plan)?;
         let run_id = now_ns() ^ (u64::from(std::process::id()) << 40);
-        folder.write_spec(&RunSpec { run_id, supervisor: std::process::id(), plan: plan.clone() })?;
+        folder.write_spec(&RunSpec {
+            run_id,
+            supervisor: std::process::id(),
+            plan: plan.clone(),
+        })?;
         let members = Members::new(&plan);
         let node = folder.node("supervisor")?;
         let (wake_sender, wake) = wake_pair(&node, "supervisor")?;
         let (stop, signals) = Stop::listen(wake_sender.clone(), true)?;
-        let identity = Identity { run_id, service: SUPERVISOR, incarnation: 1 };
+        let identity = Identity {
+            run_id,
+            service: SUPERVISOR,
+            incarnation: 1,
+        };
         let mut held: Vec<Box<dyn Any>> = vec![Box::new(hold::<Chunks>(&node, &plan, &Topic::Events)?)];
         for r in &plan.reconstructions {
-            held.push(Box::new(hold::<Frames>(&node, &plan, &Topic::Frames(r.id.clone()))?));
+            held.push(Box::new(hold::<Frames>(
+                &node,
+                &plan,
+                &Topic::Frames(r.id.clone()),
+            )?));
         }
         for e in &plan.extractors {
-            held.push(Box::new(hold::<Descriptors>(&node, &plan, &Topic::Descriptors(e.id.clone()))?));
+            held.push(Box::new(hold::<Descriptors>(
+                &node,
+                &plan,
+                &Topic::Descriptors(e.id.clone()),
+            )?));
         }
         let has_fuse = plan.map.is_some();
         let matches = if has_fuse {
-            Some(ChannelReceiver::new(hold(&node, &plan, &Topic::Matches)?, run_id, SUPERVISOR_READER)?)
+            Some(ChannelReceiver::new(
+                hold(&node, &plan, &Topic::Matches)?,
+                run_id,
+                SUPERVISOR_READER,
+            )?)
         } else {
             None
         };
@@ -263,13 +292,28 @@ impl Supervisor {
         let services = services.collect();
         let answers = self.answers;
         let failure = self.failure.take();
-        let Self { folder, ports, wake, control, _signals, _held, node, _lock, .. } = self;
+        let Self {
+            folder,
+            ports,
+            wake,
+            control,
+            _signals,
+            _held,
+            node,
+            _lock,
+            ..
+        } = self;
         drop((control, ports, wake, _signals, _held));
         drop(node);
         folder.sweep();
         folder.remove();
         drop(_lock);
-        Ok(RunSummary { outcome: outcome?, answers, failure, services })
+        Ok(RunSummary {
+            outcome: outcome?,
+            answers,
+            failure,
+            services,
+        })
     }
 
     fn supervise(&mut self, hooks: &mut dyn Hooks) -> Result<Outcome, RuntimeError> {
@@ -290,24 +334,34 @@ impl Supervisor {
             self.advance();
         }
         self.take_down(hooks)?;
-        Ok(match (self.failed, self.stop.requested(), self.stop.interrupted()) {
-            (true, _, _) => Outcome::Failed,
-            (_, _, true) => Outcome::Interrupted,
-            (_, true, _) => Outcome::Stopped,
-            _ => Outcome::Finished,
-        })
+        Ok(
+            match (self.failed, self.stop.requested(), self.stop.interrupted()) {
+                (true, _, _) => Outcome::Failed,
+                (_, _, true) => Outcome::Interrupted,
+                (_, true, _) => Outcome::Stopped,
+                _ => Outcome::Finished,
+            },
+        )
     }
 
     fn wait(&self, timeout: Duration) -> Result<(), RuntimeError> {
         let set = wait_set()?;
-        let mut listeners = vec![&self.wake, self.ports.stats.listener(), self.ports.ticks.listener()];
+        let mut listeners = vec![
+            &self.wake,
+            self.ports.stats.listener(),
+            self.ports.ticks.listener(),
+        ];
         listeners.extend(self.ports.matches.as_ref().map(ChannelReceiver::listener));
         Waiter::new(&set, listeners)?.wait(timeout)
     }
 
     fn next_timer(&self) -> Duration {
         let now = Instant::now();
-        let due = self.processes.iter().filter_map(|p| p.start_at).map(|t| t.saturating_duration_since(now));
+        let due = self
+            .processes
+            .iter()
+            .filter_map(|p| p.start_at)
+            .map(|t| t.saturating_duration_since(now));
         due.min().unwrap_or(ROUND).min(ROUND)
     }
 
@@ -325,7 +379,9 @@ impl Supervisor {
             heard = true;
             let stats = *message.header();
             let index = stats.stamp.service as usize;
-            let Some(process) = self.processes.get_mut(index) else { continue };
+            let Some(process) = self.processes.get_mut(index) else {
+                continue;
+            };
             if stats.stamp.incarnation != process.incarnation {
                 continue;
             }
@@ -342,7 +398,12 @@ impl Supervisor {
     }
 
     fn progress(&self) -> Progress {
-        let of = |kind| self.processes.iter().find(|p| p.service.kind == kind).map(|p| &p.stats);
+        let of = |kind| {
+            self.processes
+                .iter()
+                .find(|p| p.service.kind == kind)
+                .map(|p| &p.stats)
+        };
         let ingest = of(ServiceKind::Ingest);
         Progress {
             permille: ingest.map_or(0, |s| s.progress_permille),
@@ -353,7 +414,9 @@ impl Supervisor {
     }
 
     fn take_answers(&mut self, hooks: &mut dyn Hooks) -> Result<(), RuntimeError> {
-        let Some(matches) = &mut self.ports.matches else { return Ok(()) };
+        let Some(matches) = &mut self.ports.matches else {
+            return Ok(());
+        };
         while let Some(message) = matches.receive()? {
             let header = message.header();
             if header.tick() < self.next_answer {
@@ -395,8 +458,13 @@ impl Supervisor {
     fn needed_tick(&self) -> u64 {
         let needs = self.processes.iter().filter(|p| p.is_sink()).map(|p| {
             let next = p.stats.next_tick;
-            let rebuilding = p.service.kind == ServiceKind::Fuse && p.incarnation > 1 && next < self.next_answer;
-            if p.service.kind == ServiceKind::Fuse && !rebuilding { next.max(self.next_answer) } else { next }
+            let rebuilding =
+                p.service.kind == ServiceKind::Fuse && p.incarnation > 1 && next < self.next_answer;
+            if p.service.kind == ServiceKind::Fuse && !rebuilding {
+                next.max(self.next_answer)
+            } else {
+                next
+            }
         });
         needs.min().unwrap_or(0)
     }
@@ -404,7 +472,11 @@ impl Supervisor {
     /// Kills ingest, to be started again at the tick that is needed. SIGKILL, because an orderly stop would tell
     /// everybody that the stream has ended.
     fn send_ingest_back(&mut self) {
-        if let Some(ingest) = self.processes.iter_mut().find(|p| p.service.kind == ServiceKind::Ingest) {
+        if let Some(ingest) = self
+            .processes
+            .iter_mut()
+            .find(|p| p.service.kind == ServiceKind::Ingest)
+        {
             ingest.sent_back = true;
             match &ingest.child {
                 Some(_) => ingest.signal(Signal::SIGKILL),
@@ -415,7 +487,9 @@ impl Supervisor {
 
     fn reap(&mut self) -> Vec<(usize, Exit, String)> {
         let reaped = self.processes.iter_mut().enumerate();
-        reaped.filter_map(|(i, p)| p.reap().map(|(exit, status)| (i, exit, status))).collect()
+        reaped
+            .filter_map(|(i, p)| p.reap().map(|(exit, status)| (i, exit, status)))
+            .collect()
     }
 
     /// A process has ended although nobody asked it to.
@@ -443,23 +517,34 @@ impl Supervisor {
         process.dead_through = process.incarnation;
         process.health = ServiceHealth::Restarting;
         let name = process.service.name.clone();
-        let wait = if process.sent_back { Some(Duration::ZERO) } else { process.backoff(now) };
+        let wait = if process.sent_back {
+            Some(Duration::ZERO)
+        } else {
+            process.backoff(now)
+        };
         match wait {
             Some(wait) => {
                 process.start_at = Some(now + wait);
                 if !process.sent_back {
                     process.restarts += 1;
-                    warn!("{name} died ({status}); starting it again in {} ms", wait.as_millis());
+                    warn!(
+                        "{name} died ({status}); starting it again in {} ms",
+                        wait.as_millis()
+                    );
                 }
             }
             None if process.is_essential() => {
-                self.failure = Some(format!("{name} died too often ({status}); without it the run cannot go on"));
+                self.failure = Some(format!(
+                    "{name} died too often ({status}); without it the run cannot go on"
+                ));
                 self.failed = true;
                 self.state = State::Stopping;
             }
             None => {
                 process.health = ServiceHealth::Down;
-                tracing::error!("{name} died too often ({status}) and is given up; the run goes on without it");
+                tracing::error!(
+                    "{name} died too often ({status}) and is given up; the run goes on without it"
+                );
             }
         }
         self.publish_lifecycle()
@@ -522,15 +607,26 @@ impl Supervisor {
     fn publish_lifecycle(&mut self) -> Result<(), RuntimeError> {
         self.lifecycle_version += 1;
         let states: Vec<_> = self.processes.iter().map(Process::state).collect();
-        let header = LifecycleHeader { version: self.lifecycle_version, ..LifecycleHeader::default() };
-        let sent = self.ports.lifecycle.emit(header, states.len(), &mut |slots| slots.copy_from_slice(&states));
+        let header = LifecycleHeader {
+            version: self.lifecycle_version,
+            ..LifecycleHeader::default()
+        };
+        let sent = self
+            .ports
+            .lifecycle
+            .emit(header, states.len(), &mut |slots| slots.copy_from_slice(&states));
         sent.map_err(|e| RuntimeError::Ipc(e.to_string()))
     }
 
     fn publish_control(&mut self) -> Result<(), RuntimeError> {
         let settings = self.members.settings.messages();
-        let header = ControlHeader { version: self.members.settings.version, ..ControlHeader::default() };
-        let sent = self.ports.control.emit(header, settings.len(), &mut |slots| slots.copy_from_slice(&settings));
+        let header = ControlHeader {
+            version: self.members.settings.version,
+            ..ControlHeader::default()
+        };
+        let sent = self.ports.control.emit(header, settings.len(), &mut |slots| {
+            slots.copy_from_slice(&settings)
+        });
         sent.map_err(|e| RuntimeError::Ipc(e.to_string()))
     }
 
@@ -551,29 +647,47 @@ impl Supervisor {
             self.state = State::Stopping;
             return;
         }
-        let sinks_done = self.processes.iter().filter(|p| p.is_sink()).all(|p| p.in_phase(ServicePhase::Done));
+        let sinks_done = self
+            .processes
+            .iter()
+            .filter(|p| p.is_sink())
+            .all(|p| p.in_phase(ServicePhase::Done));
         match self.state {
             State::Starting if self.stop.requested() => self.state = State::Stopping,
             State::Starting => {
-                let awaited = |p: &&Process| p.service.kind != ServiceKind::Ingest && p.health != ServiceHealth::Down;
-                if self.processes.iter().filter(awaited).all(|p| p.in_phase(ServicePhase::Ready)) {
+                let awaited =
+                    |p: &&Process| p.service.kind != ServiceKind::Ingest && p.health != ServiceHealth::Down;
+                if self
+                    .processes
+                    .iter()
+                    .filter(awaited)
+                    .all(|p| p.in_phase(ServicePhase::Ready))
+                {
                     self.state = State::Running;
                     self.send_ingest_back();
                 }
             }
             State::Running | State::Draining { .. } if sinks_done => self.state = State::Stopping,
             State::Running if self.stop.requested() => {
-                let ingest = self.processes.iter().find(|p| p.service.kind == ServiceKind::Ingest);
+                let ingest = self
+                    .processes
+                    .iter()
+                    .find(|p| p.service.kind == ServiceKind::Ingest);
                 match ingest.filter(|p| p.in_phase(ServicePhase::Ready)) {
                     Some(ingest) => {
                         ingest.signal(Signal::SIGTERM);
-                        self.state = State::Draining { since: Instant::now() };
+                        self.state = State::Draining {
+                            since: Instant::now(),
+                        };
                     }
                     None => self.state = State::Stopping,
                 }
             }
             State::Draining { since } if since.elapsed() > DRAIN_TIMEOUT => {
-                warn!("what was under way did not finish within {} s", DRAIN_TIMEOUT.as_secs());
+                warn!(
+                    "what was under way did not finish within {} s",
+                    DRAIN_TIMEOUT.as_secs()
+                );
                 self.state = State::Stopping;
             }
             _ => {}
@@ -589,7 +703,11 @@ impl Supervisor {
             ServiceKind::Fuse,
             ServiceKind::Record,
         ];
-        let patience = if self.stop.count() > 1 { Duration::ZERO } else { EXIT_TIMEOUT };
+        let patience = if self.stop.count() > 1 {
+            Duration::ZERO
+        } else {
+            EXIT_TIMEOUT
+        };
         for kind in ORDER {
             let deadline = Instant::now() + patience;
             for process in self.processes.iter().filter(|p| p.service.kind == kind) {
@@ -608,7 +726,11 @@ impl Supervisor {
                         warn!("{} ended badly ({status})", self.processes[index].service.name);
                     }
                 }
-                if !self.processes.iter().any(|p| p.service.kind == kind && p.child.is_some()) {
+                if !self
+                    .processes
+                    .iter()
+                    .any(|p| p.service.kind == kind && p.child.is_some())
+                {
                     break;
                 }
                 let now = Instant::now();
@@ -616,12 +738,20 @@ impl Supervisor {
                     killed = true;
                     for process in self.processes.iter().filter(|p| p.service.kind == kind) {
                         if process.child.is_some() && patience > Duration::ZERO {
-                            warn!("{} did not end within {} s and is killed", process.service.name, patience.as_secs());
+                            warn!(
+                                "{} did not end within {} s and is killed",
+                                process.service.name,
+                                patience.as_secs()
+                            );
                         }
                         process.signal(Signal::SIGKILL);
                     }
                 }
-                self.wait(deadline.saturating_duration_since(now).clamp(Duration::from_millis(1), ROUND))?;
+                self.wait(
+                    deadline
+                        .saturating_duration_since(now)
+                        .clamp(Duration::from_millis(1), ROUND),
+                )?;
             }
             self.clean_up_nodes();
         }

@@ -49,7 +49,10 @@ impl Members {
                 continue;
             }
             let index = self.names.iter().position(|n| n == name).ok_or_else(|| {
-                format!("there is no member \"{name}\"; `evpr member list` shows the {} there are", self.names.len())
+                format!(
+                    "there is no member \"{name}\"; `evpr member list` shows the {} there are",
+                    self.names.len()
+                )
             })?;
             found.push(index);
         }
@@ -64,10 +67,17 @@ impl Members {
         let Asked { request, reply } = asked;
         match request {
             ControlRequest::List => {
-                let _ = reply.send(ControlReply { members: self.states(), ..ControlReply::default() });
+                let _ = reply.send(ControlReply {
+                    members: self.states(),
+                    ..ControlReply::default()
+                });
                 false
             }
-            ControlRequest::Set { members, enabled, weight } => {
+            ControlRequest::Set {
+                members,
+                enabled,
+                weight,
+            } => {
                 if enabled.is_none() && weight.is_none() {
                     let _ = reply.send(ControlReply::refusal("there is nothing to change".to_owned()));
                     return false;
@@ -90,7 +100,11 @@ impl Members {
                         }
                         self.settings.version += 1;
                         let until = now + CONFIRM_TIMEOUT;
-                        self.waiting.push(Waiting { version: self.settings.version, reply, until });
+                        self.waiting.push(Waiting {
+                            version: self.settings.version,
+                            reply,
+                            until,
+                        });
                         true
                     }
                 }
@@ -115,7 +129,11 @@ impl Members {
         let members = self.states();
         self.waiting.retain(|w| {
             if due(w) {
-                let _ = w.reply.send(ControlReply { error: None, members: members.clone(), from_tick });
+                let _ = w.reply.send(ControlReply {
+                    error: None,
+                    members: members.clone(),
+                    from_tick,
+                });
             }
             !due(w)
         });

@@ -101,7 +101,11 @@ impl Process {
     /// Notes a death and says how long to wait before the next start; `None` when it is given up.
     pub(super) fn backoff(&mut self, now: Instant) -> Option<Duration> {
         self.deaths.push_back(now);
-        while self.deaths.front().is_some_and(|t| now.duration_since(*t) > BUDGET_PERIOD) {
+        while self
+            .deaths
+            .front()
+            .is_some_and(|t| now.duration_since(*t) > BUDGET_PERIOD)
+        {
             self.deaths.pop_front();
         }
         match self.deaths.len() {
@@ -126,14 +130,24 @@ mod tests {
 
     #[test]
     fn backs_off_and_gives_up() {
-        let mut p = Process::new(Service { kind: ServiceKind::Extract, index: 0, name: "extract/x".to_owned() });
+        let mut p = Process::new(Service {
+            kind: ServiceKind::Extract,
+            index: 0,
+            name: "extract/x".to_owned(),
+        });
         let start = Instant::now();
-        let waits: Vec<_> = (0..11).map(|i| p.backoff(start + Duration::from_millis(i))).collect();
+        let waits: Vec<_> = (0..11)
+            .map(|i| p.backoff(start + Duration::from_millis(i)))
+            .collect();
         assert_eq!(waits[0], Some(Duration::ZERO));
         assert_eq!(waits[1], Some(Duration::from_millis(100)));
         assert_eq!(waits[2], Some(Duration::from_millis(200)));
         assert_eq!(waits[9], Some(LONGEST_BACKOFF));
         assert_eq!(waits[10], None);
-        assert_eq!(p.backoff(start + Duration::from_secs(120)), Some(Duration::ZERO), "old deaths are forgotten");
+        assert_eq!(
+            p.backoff(start + Duration::from_secs(120)),
+            Some(Duration::ZERO),
+            "old deaths are forgotten"
+        );
     }
 }
