@@ -61,9 +61,33 @@ impl Bench {
 
     /// The executable with this bench's run folder.
     pub(crate) fn evpr(&self) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_evpr"));
+        self.command(env!("CARGO_BIN_EXE_evpr"))
+    }
+
+    /// A program with this bench's run folder, started in this bench's folder.
+    fn command(&self, program: &str) -> Command {
+        let mut command = Command::new(program);
         command.env("EVPR_RUN_DIR", self.run_root.path()).current_dir(self.folder.path());
         command
+    }
+
+    /// Runs a shell script in a mount namespace of its own, so that its mounts are seen by nobody else. `mount` makes
+    /// the mounts, then `script` is run; in it `$EVPR` is the executable. None, with a note that names the test, where
+    /// this user may not mount.
+    pub(crate) fn run_with_mounts(&self, test: &str, mount: &str, script: &str) -> Option<Said> {
+        const CANNOT_MOUNT: i32 = 99;
+        let script = format!("{{ {mount}; }} || exit {CANNOT_MOUNT}\n{script}");
+        let may_unshare = Command::new("unshare").args(["-m", "true"]).stderr(Stdio::null()).status();
+        if may_unshare.is_ok_and(|status| status.success()) {
+            let mut command = self.command("unshare");
+            command.args(["-m", "sh", "-c", &script]).env("EVPR", env!("CARGO_BIN_EXE_evpr"));
+            let said = finish(&mut command);
+            if said.code() != CANNOT_MOUNT {
+                return Some(said);
+            }
+        }
+        println!("skipped: {test}: this user may not mount file systems");
+        None
     }
 
     /// Runs a command to its end, under the watchdog.

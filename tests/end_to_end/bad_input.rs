@@ -1,0 +1,253 @@
+//! Whatever is wrong: one line that begins with `error: ` per mistake, exit code 1 (2 for usage), nothing left in
+//! shared memory, and nothing lost that had been answered or recorded before.
+
+mod recordings;
+mod storage;
+
+use crate::support::{Bench, Running, Said, TICKS, assert_ticks, text};
+use nix::sys::signal::Signal;
+use std::fs;
+use std::path::Path;
+
+/// The command failed with this code and one line that has all these words, and left nothing in shared memory.
+fn assert_fails(bench: &Bench, said: &Said, code: i32, words: &[&str]) {
+    assert_eq!(said.code(), code, "{}", said.stderr);
+    let errors = said.errors();
+    assert_eq!(errors.len(), 1, "{}", said.stderr);
+    for word in words {
+        assert!(errors[0].contains(word), "\"{word}\" is not in: {}", errors[0]);
+    }
+    assert!(!said.stderr.contains("panicked"), "{}", said.stderr);
+    assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+fn fails(bench: &Bench, args: &[&str], code: i32, words: &[&str]) {
+    println!("evpr {}", args.join(" "));
+    assert_fails(bench, &bench.run(args), code, words);
+}
+
+/// A file of this repository.
+fn repository(path: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
+}
+
+#[test]
+fn usage_errors_exit_with_2() {
+    let bench = Bench::new();
+    bench.ensemble_config();
+    let run = ["run", "-c", "ensemble.toml", "-i", "query.txt"];
+    let with = |extra: &[&'static str]| [&run[..], extra].concat();
+    fails(&bench, &with(&["--map", "map", "--fast"]), 2, &["--fast"]);
+    fails(&bench, &["run"], 2, &["required arguments"]);
+    fails(
+        &bench,
+        &["map", "build", "-c", "ensemble.toml"],
+        2,
+        &["required arguments"],
+    );
+    fails(
+        &bench,
+        &with(&["--map", "map", "--pace", "0"]),
+        2,
+        &["--pace", "out of range", "0.001"],
+    );
+    fails(&bench, &with(&["--map", "map", "--pace", "fast"]), 2, &["--pace"]);
+    fails(
+        &bench,
+        &with(&["--map", "map", "--delivery", "soon"]),
+        2,
+        &["--delivery"],
+    );
+    fails(&bench, &run, 2, &["nothing to do", "--map DIR", "--record DIR"]);
+    fails(&bench, &["fly"], 2, &["fly"]);
+    let reconstruct = [
+        "events",
+        "reconstruct",
+        "query.txt",
+        "-t",
+        "1s",
+        "-o",
+        "f.npy",
+        "-m",
+    ];
+    let with = |extra: &[&'static str]| [&reconstruct[..], extra].concat();
+    let query = bench.recording("query.txt", 20, 2);
+    fails(
+        &bench,
+        &with(&["event_count", "-w", "fast"]),
+        2,
+        &["--window", "duration"],
+    );
+    fails(
+        &bench,
+        &with(&["event_count", "-w", "1s", "--sensor", "48"]),
+        2,
+        &["--sensor 48", "260x346"],
+    );
+    fails(
+        &bench,
+        &with(&["event_cont", "-w", "1s", "--sensor", "48x64"]),
+        2,
+        &["did you mean \"event_count\"?"],
+    );
+    fails(
+        &bench,
+        &with(&["event_count", "-w", "2s", "--sensor", "48x64"]),
+        2,
+        &["longer than the tick"],
+    );
+    fails(
+        &bench,
+        &with(&["time_surface", "-w", "1s", "--sensor", "48x64", "-p", "tua=5ms"]),
+        2,
+        &["`tua`", "did you mean `tau`?"],
+    );
+    fails(
+        &bench,
+        &with(&["event_count", "-w", "1s"]),
+        1,
+        &[text(&query).rsplit('/').next().unwrap(), "--sensor"],
+    );
+}
+
+#[test]
+fn all_five_mistakes_of_a_configuration_are_reported() {
+    let bench = Bench::new();
+    let config = repository("tests/config/invalid/five_mistakes.toml");
+    bench.recording("query.txt", 20, 2);
+    let config = text(&config);
+    for args in [
+        &["validate", "-c", config][..],
+        &["graph", "-c", config],
+        &["run", "-c", config, "-i", "query.txt", "-r", "recorded"],
+        &["map", "build", "-c", config, "-i", "query.txt", "-o", "recorded"],
+    ] {
+        let said = bench.run(args);
+        assert_eq!(said.code(), 1, "{}", said.stderr);
+        let wanted = [
+            ":2: slicing.tick: \"1 day\" is not a duration",
+            ":3: slicing.windws: unknown key `windws`; did you mean `windows`?",
+            ":10: extractor[0].params.side: 1000 is out of range",
+            ":13: ensemble.disabled[0]: no such reconstruction: \"event_cont\"",
+            ":16: runtime.deadline: is a number; write a duration",
+        ];
+        let errors = said.errors();
+        assert_eq!(errors.len(), wanted.len(), "{}", said.stderr);
+        assert_eq!(said.stderr.lines().count(), wanted.len(), "{}", said.stderr);
+        for (error, words) in errors.iter().zip(wanted) {
+            assert!(error.starts_with(&format!("error: {config}{words}")), "{error}");
+        }
+        assert!(!bench.path("recorded").exists() && !bench.path("recorded.partial").exists());
+        assert_eq!(bench.left_behind(), Vec::<String>::new());
+    }
+}
+
+#[test]
+fn configurations_that_cannot_be_read() {
+    let bench = Bench::new();
+    bench.recording("query.txt", 20, 2);
+    fs::create_dir(bench.path("folder")).unwrap();
+    fs::write(bench.path("binary.toml"), b"\xff\xfe\x00 = 1").unwrap();
+    bench.file("syntax.toml", "[slicing]\ntick = \"1s\n");
+    for (config, words) in [
+        (
+            "none.toml",
+            &["cannot read the configuration none.toml", "No such file"][..],
+        ),
+        ("folder", &["cannot read the configuration folder", "directory"]),
+        (
+            "binary.toml",
+            &["cannot read the configuration binary.toml", "UTF-8"],
+        ),
+        ("syntax.toml", &["syntax.toml:2: not valid TOML"]),
+    ] {
+        fails(
+            &bench,
+            &["run", "-c", config, "-i", "query.txt", "-m", "map"],
+            1,
+            words,
+        );
+        fails(&bench, &["validate", "-c", config], 1, words);
+    }
+    // A recording is no configuration in any of its lines; that it is none at all can be said in fewer.
+    let said = bench.run(&["validate", "-c", "query.txt"]);
+    assert_eq!(said.code(), 1);
+    assert!((2..100).contains(&said.errors().len()), "{}", said.stderr);
+    assert!(
+        said.errors().last().unwrap().ends_with(" more"),
+        "{}",
+        said.stderr
+    );
+}
+
+#[test]
+fn no_instance_and_a_second_instance_of_the_same_name() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    fails(
+        &bench,
+        &["member", "list"],
+        1,
+        &["no instance named \"evpr\" is running"],
+    );
+    fails(
+        &bench,
+        &["member", "disable", "--name", "other", "all"],
+        1,
+        &["no instance named \"other\""],
+    );
+    let query = bench.recording("query.txt", TICKS, 2);
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+    ];
+    let mut running = Running::start(&bench, &[&args[..], &["--pace", "1"]].concat());
+    assert!(running.read_to(5));
+    let second = bench.run(&[&args[..], &["-o", "second.jsonl"]].concat());
+    assert_eq!(second.code(), 1, "{}", second.stderr);
+    assert_eq!(second.errors().len(), 1, "{}", second.stderr);
+    assert!(
+        second
+            .stderr
+            .contains("an instance named \"evpr\" is running already"),
+        "{}",
+        second.stderr
+    );
+    assert!(second.stderr.contains("--name"), "{}", second.stderr);
+    // Another name is free, and the first one is none the worse.
+    let third = bench.run(&[&args[..], &["-o", "third.jsonl", "--name", "third"]].concat());
+    assert_eq!(third.code(), 0, "{}", third.stderr);
+    let heard = running.answers.len() as u64;
+    assert!(running.read_to(heard + 5));
+    Running::signal(running.pid(), Signal::SIGINT);
+    let (answers, said) = running.finish();
+    assert_eq!(said.code(), 130, "{}", said.stderr);
+    assert_ticks(&answers, answers.len() as u64);
+    assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+#[test]
+fn stopping_before_the_first_tick_leaves_no_map() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let query = bench.recording("query.txt", TICKS, 2);
+    // A tick takes 100 s.
+    let slow = ["-q", "-c", text(&config), "-i", text(&query), "--pace", "0.001"];
+    let running = Running::start(&bench, &[&["map", "build", "-o", "stopped"], &slow[..]].concat());
+    let listening = (0..1000).any(|_| bench.run(&["member", "list"]).code() == 0);
+    assert!(listening, "the instance never answered");
+    Running::signal(running.pid(), Signal::SIGINT);
+    let (_, said) = running.finish();
+    assert_eq!(said.code(), 130, "{}", said.stderr);
+    assert!(said.errors().is_empty(), "{}", said.stderr);
+    assert!(said.stderr.contains("no map"), "{}", said.stderr);
+    assert!(!bench.path("stopped").exists() && !bench.path("stopped.partial").exists());
+    assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
