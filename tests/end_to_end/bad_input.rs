@@ -5,6 +5,7 @@ mod recordings;
 mod storage;
 
 use crate::support::{Bench, Running, Said, TICKS, assert_ticks, text};
+use evpr_store::Traverse;
 use nix::sys::signal::Signal;
 use std::fs;
 use std::path::Path;
@@ -29,6 +30,21 @@ fn fails(bench: &Bench, args: &[&str], code: i32, words: &[&str]) {
 /// A file of this repository.
 fn repository(path: &str) -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
+}
+
+/// The traverse holds exactly the first ticks of the other one.
+fn assert_begins(part: &Path, whole: &Path, ticks: usize) {
+    let (part, whole) = (Traverse::open(part).unwrap(), Traverse::open(whole).unwrap());
+    assert_eq!(part.len(), ticks);
+    assert_eq!(part.ticks(), &whole.ticks()[..ticks]);
+    for entry in &part.manifest().members {
+        let (a, b) = (
+            part.member(&entry.name).unwrap(),
+            whole.member(&entry.name).unwrap(),
+        );
+        assert_eq!(a.present(), &b.present()[..ticks]);
+        assert_eq!(a.rows(), &b.rows()[..ticks * b.dim()], "{}", entry.name);
+    }
 }
 
 #[test]
@@ -250,4 +266,51 @@ fn stopping_before_the_first_tick_leaves_no_map() {
     assert!(said.stderr.contains("no map"), "{}", said.stderr);
     assert!(!bench.path("stopped").exists() && !bench.path("stopped.partial").exists());
     assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+/// A `.npy` of f64 with this shape.
+fn npy(path: &Path, shape: &str, values: &[f64]) {
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    bytes.extend(format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}").bytes());
+    bytes.resize(127, b' ');
+    bytes.push(b'\n');
+    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn matrices_that_cannot_be_matched() {
+    let bench = Bench::new();
+    npy(&bench.path("good.npy"), "(2, 3)", &[0.0, 1.0, 2.0, 3.0, 4.0, 6.0]);
+    npy(&bench.path("flat.npy"), "(3,)", &[0.0, 1.0, 2.0]);
+    npy(&bench.path("nan.npy"), "(2, 2)", &[0.0, 1.0, f64::NAN, 2.0]);
+    npy(&bench.path("cut.npy"), "(2, 3)", &[0.0]);
+    bench.file("text.npy", "0 1 2\n3 4 5\n");
+    let matching = |similarity: &str, length: &str, out: &str, code: i32, words: &[&str]| {
+        fails(
+            &bench,
+            &["sequence-match", "-s", similarity, "-l", length, "-o", out],
+            code,
+            words,
+        );
+        assert!(!bench.path(out).is_file());
+    };
+    matching("flat.npy", "2", "t.npy", 1, &["flat.npy", "queries × references"]);
+    matching("text.npy", "2", "t.npy", 1, &["text.npy", ".npy array"]);
+    matching("cut.npy", "2", "t.npy", 1, &["cut.npy"]);
+    matching("none.npy", "2", "t.npy", 1, &["none.npy", "No such file"]);
+    matching(
+        "nan.npy",
+        "2",
+        "t.npy",
+        1,
+        &["nan.npy", "query 1 and reference 0 is NaN"],
+    );
+    matching("good.npy", "2", "none/t.npy", 1, &["cannot write none/t.npy"]);
+    matching("good.npy", "0", "t.npy", 2, &["--length 0"]);
+    matching("good.npy", "-1", "t.npy", 2, &["-1"]);
+    matching("good.npy", "two", "t.npy", 2, &["two"]);
+    let said = bench.run(&["sequence-match", "-s", "good.npy", "-l", "2", "-o", "t.npy"]);
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert_eq!(fs::metadata(bench.path("t.npy")).unwrap().len(), 128 + 6 * 8);
 }

@@ -1,10 +1,10 @@
 //! Recordings that cannot be read, or not to their end.
 
-use super::{assert_fails, fails, repository};
+use super::{assert_begins, assert_fails, fails, repository};
 use crate::support::{Bench, Said, TICK_MS, TICKS, assert_ticks, read_answers, text, timeless};
 use evpr_store::Traverse;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Events of the synthetic recording per tick.
 const PER_TICK: usize = 250;
@@ -208,21 +208,6 @@ fn all_words<'a>(file: &'a str, words: &'a [String]) -> Vec<&'a str> {
     std::iter::once(file)
         .chain(words.iter().map(String::as_str))
         .collect()
-}
-
-/// The traverse holds exactly the first ticks of the other one.
-fn assert_begins(part: &Path, whole: &Path, ticks: usize) {
-    let (part, whole) = (Traverse::open(part).unwrap(), Traverse::open(whole).unwrap());
-    assert_eq!(part.len(), ticks);
-    assert_eq!(part.ticks(), &whole.ticks()[..ticks]);
-    for entry in &part.manifest().members {
-        let (a, b) = (
-            part.member(&entry.name).unwrap(),
-            whole.member(&entry.name).unwrap(),
-        );
-        assert_eq!(a.present(), &b.present()[..ticks]);
-        assert_eq!(a.rows(), &b.rows()[..ticks * b.dim()], "{}", entry.name);
-    }
 }
 
 /// A bench with a map, a good query, and what a run over it records and answers.

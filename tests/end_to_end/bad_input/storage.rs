@@ -1,8 +1,7 @@
 //! Maps that cannot be used, places that cannot be written, and too little room.
 
-use super::{assert_fails, fails};
+use super::{assert_begins, assert_fails, fails};
 use crate::support::{Bench, TICKS, read_answers, text};
-use evpr_store::Traverse;
 use std::fs;
 use std::path::Path;
 
@@ -278,53 +277,6 @@ fn places_that_cannot_be_written() {
     assert_eq!(bench.run(&["map", "verify", "new/folder/map"]).code(), 0);
 }
 
-/// A `.npy` of f64 with this shape.
-fn npy(path: &Path, shape: &str, values: &[f64]) {
-    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
-    bytes.extend(format!("{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}").bytes());
-    bytes.resize(127, b' ');
-    bytes.push(b'\n');
-    bytes.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-    fs::write(path, bytes).unwrap();
-}
-
-#[test]
-fn matrices_that_cannot_be_matched() {
-    let bench = Bench::new();
-    npy(&bench.path("good.npy"), "(2, 3)", &[0.0, 1.0, 2.0, 3.0, 4.0, 6.0]);
-    npy(&bench.path("flat.npy"), "(3,)", &[0.0, 1.0, 2.0]);
-    npy(&bench.path("nan.npy"), "(2, 2)", &[0.0, 1.0, f64::NAN, 2.0]);
-    npy(&bench.path("cut.npy"), "(2, 3)", &[0.0]);
-    bench.file("text.npy", "0 1 2\n3 4 5\n");
-    let matching = |similarity: &str, length: &str, out: &str, code: i32, words: &[&str]| {
-        fails(
-            &bench,
-            &["sequence-match", "-s", similarity, "-l", length, "-o", out],
-            code,
-            words,
-        );
-        assert!(!bench.path(out).is_file());
-    };
-    matching("flat.npy", "2", "t.npy", 1, &["flat.npy", "queries × references"]);
-    matching("text.npy", "2", "t.npy", 1, &["text.npy", ".npy array"]);
-    matching("cut.npy", "2", "t.npy", 1, &["cut.npy"]);
-    matching("none.npy", "2", "t.npy", 1, &["none.npy", "No such file"]);
-    matching(
-        "nan.npy",
-        "2",
-        "t.npy",
-        1,
-        &["nan.npy", "query 1 and reference 0 is NaN"],
-    );
-    matching("good.npy", "2", "none/t.npy", 1, &["cannot write none/t.npy"]);
-    matching("good.npy", "0", "t.npy", 2, &["--length 0"]);
-    matching("good.npy", "-1", "t.npy", 2, &["-1"]);
-    matching("good.npy", "two", "t.npy", 2, &["two"]);
-    let said = bench.run(&["sequence-match", "-s", "good.npy", "-l", "2", "-o", "t.npy"]);
-    assert_eq!(said.code(), 0, "{}", said.stderr);
-    assert_eq!(fs::metadata(bench.path("t.npy")).unwrap().len(), 128 + 6 * 8);
-}
-
 #[test]
 fn too_little_shared_memory_is_seen_before_anything_starts() {
     let bench = bench_with_map();
@@ -391,21 +343,7 @@ fn a_full_disk_ends_the_recording_and_keeps_every_committed_tick() {
     assert_eq!(repaired.code(), 0, "{}", repaired.stderr);
     let verified = bench.run(&["map", "verify", "kept/new"]);
     assert_eq!(verified.code(), 0, "{}", verified.stderr);
-    let (kept, whole) = (
-        Traverse::open(&bench.path("kept/new")),
-        Traverse::open(&bench.path("whole")),
-    );
-    let (kept, whole) = (kept.unwrap(), whole.unwrap());
-    assert_eq!(kept.len(), last + 1);
-    assert_eq!(kept.ticks(), &whole.ticks()[..kept.len()]);
-    for entry in &kept.manifest().members {
-        let (a, b) = (
-            kept.member(&entry.name).unwrap(),
-            whole.member(&entry.name).unwrap(),
-        );
-        assert_eq!(a.rows(), &b.rows()[..kept.len() * b.dim()], "{}", entry.name);
-        assert!(a.present().iter().all(|p| *p));
-    }
+    assert_begins(&bench.path("kept/new"), &bench.path("whole"), last + 1);
     // It is a map like any other.
     let said = bench.run(&[&RUN[..], &["-m", text(&bench.path("kept/new"))]].concat());
     assert_eq!(said.code(), 0, "{}", said.stderr);
