@@ -16,6 +16,7 @@ mod fuser;
 mod map;
 pub mod offline;
 pub mod sequence;
+mod simd;
 pub mod similarity;
 
 pub use error::FuseError;

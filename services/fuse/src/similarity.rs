@@ -7,17 +7,23 @@
 //! | `cosine` | q·r / (max(‖q‖, 1e-12) · max(‖r‖, 1e-12)) |
 //! | `sad` | −Σ\|q − r\| |
 //!
-//! Each map row is read once. Differences are summed directly, so that nearly identical rows keep their order;
-//! f32 lanes add at most 64 terms each before they go into an f64. The result is within 1e-5 of the exact one,
-//! relatively; where f32 would overflow or lose a tiny sum, the row is computed again in f64.
+//! Each map row is read once, two rows at a time in short turns: one row alone leaves the memory idle whenever the
+//! processor comes to the end of a page. Differences are summed directly, so that nearly identical rows keep their
+//! order; f32 lanes add at most 64 terms each before they go into an f64, and the products of the cosine, which may
+//! cancel, are f64. The result is within 1e-5 of the exact one, relatively; where f32 would overflow or lose a tiny
+//! sum, the row is computed again in f64.
 
 use evpr_core::plan::Similarity;
 use rayon::prelude::*;
 
 /// f32 lanes of the inner loop.
 const LANES: usize = 16;
+/// Steps of all lanes on one row before the other row has its turn: 256 bytes.
+const SPAN: usize = 4;
 /// Values summed in f32 lanes before they go into f64: 64 per lane.
 const CHUNK: usize = 64 * LANES;
+/// Rows that take turns.
+const PAIR: usize = 2;
 /// From so many map values on, the rows are shared out among threads.
 const PARALLEL_VALUES: usize = 1 << 18;
 /// Map values per piece of work: 256 KiB.
@@ -27,34 +33,37 @@ const TRUSTED: std::ops::Range<f64> = 1e-25..1e35;
 
 /// −‖q − r‖₂ for each map row. See [`similarity`].
 pub fn l2(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    each_row(query.len(), rows, valid, out, |r| {
-        -distance_squared(query, r).sqrt()
+    each_pair(query.len(), rows, valid, out, |pair| {
+        distances_squared(query, pair).map(|d| -d.sqrt())
     });
 }
 
 /// −‖q − r‖₂² for each map row. See [`similarity`].
 pub fn l2_squared(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    each_row(query.len(), rows, valid, out, |r| -distance_squared(query, r));
+    each_pair(query.len(), rows, valid, out, |pair| {
+        distances_squared(query, pair).map(|d| -d)
+    });
 }
 
 /// q·r / (‖q‖ ‖r‖) for each map row; a norm below 1e-12 counts as 1e-12. See [`similarity`].
 pub fn cosine(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    let query_norm = dot_and_square(query, query).1.sqrt().max(1e-12);
-    each_row(query.len(), rows, valid, out, |r| {
-        let (dot, square) = dot_and_square(query, r);
-        dot / (query_norm * square.sqrt().max(1e-12))
+    let wide: Vec<f64> = query.iter().map(|q| f64::from(*q)).collect();
+    let query_norm = sum_f64(query, query, |q, _| q * q).sqrt().max(1e-12);
+    each_pair(query.len(), rows, valid, out, |pair| {
+        dots_and_squares(&wide, pair).map(|(dot, square)| dot / (query_norm * square.sqrt().max(1e-12)))
     });
 }
 
 /// −Σ|q − r| for each map row. See [`similarity`].
 pub fn sad(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    each_row(query.len(), rows, valid, out, |r| {
-        let sum = sum_f32(query, r, |a, b| (a - b).abs());
-        -if sum.is_finite() {
-            sum
-        } else {
-            sum_f64(query, r, |a, b| (a - b).abs())
+    each_pair(query.len(), rows, valid, out, |pair| {
+        let mut sums = sums_f32(query, pair, |a, b| (a - b).abs());
+        for (sum, row) in sums.iter_mut().zip(pair) {
+            if !sum.is_finite() {
+                *sum = sum_f64(query, row, |a, b| (a - b).abs());
+            }
         }
+        sums.map(|sum| -sum)
     });
 }
 
@@ -77,62 +86,80 @@ pub fn similarity(kind: Similarity, query: &[f32], rows: &[f32], valid: &[bool],
     }
 }
 
-fn each_row<F: Fn(&[f32]) -> f64 + Sync>(
+/// Scores the valid rows two by two, in the order they lie in.
+fn each_pair<F: Fn([&[f32]; PAIR]) -> [f64; PAIR] + Sync>(
     dim: usize,
     rows: &[f32],
     valid: &[bool],
     out: &mut [f64],
-    score: F,
+    scores: F,
 ) {
     assert_eq!(rows.len(), out.len() * dim, "rows must be R×D");
     assert_eq!(valid.len(), out.len(), "valid must have R entries");
     let dim = dim.max(1);
     let serial = |rows: &[f32], valid: &[bool], out: &mut [f64]| {
+        let mut waiting: Option<(&mut f64, &[f32])> = None;
         for ((out, valid), row) in out.iter_mut().zip(valid).zip(rows.chunks_exact(dim)) {
-            *out = if *valid { score(row) } else { f64::NAN };
+            if !valid {
+                *out = f64::NAN;
+            } else if let Some((first_out, first)) = waiting.take() {
+                [*first_out, *out] = scores([first, row]);
+            } else {
+                waiting = Some((out, row));
+            }
+        }
+        if let Some((out, row)) = waiting {
+            [*out, _] = scores([row, row]);
         }
     };
     if rows.len() < PARALLEL_VALUES {
         return serial(rows, valid, out);
     }
-    let block = (BLOCK_VALUES / dim).max(1);
+    let block = (BLOCK_VALUES / dim).next_multiple_of(PAIR).max(PAIR);
     out.par_chunks_mut(block)
         .zip(valid.par_chunks(block))
         .zip(rows.par_chunks(block * dim))
         .for_each(|((out, valid), rows)| serial(rows, valid, out));
 }
 
-/// Σ(q − r)².
-fn distance_squared(query: &[f32], row: &[f32]) -> f64 {
-    let sum = sum_f32(query, row, |a, b| (a - b) * (a - b));
-    if TRUSTED.contains(&sum) {
-        sum
-    } else {
-        sum_f64(query, row, |a, b| (a - b) * (a - b))
+/// Σ(q − r)² of each row.
+fn distances_squared(query: &[f32], pair: [&[f32]; PAIR]) -> [f64; PAIR] {
+    let mut sums = sums_f32(query, pair, |a, b| (a - b) * (a - b));
+    for (sum, row) in sums.iter_mut().zip(pair) {
+        if !TRUSTED.contains(sum) {
+            *sum = sum_f64(query, row, |a, b| (a - b) * (a - b));
+        }
     }
+    sums
 }
 
-/// Σ f(q, r) in f32 lanes, the lanes of each chunk added up in f64.
+/// Σ f(q, r) of each row, in f32 lanes; the lanes of each chunk are added up in f64. A row's sum does not depend on
+/// the other row.
 #[inline(always)]
-fn sum_f32(query: &[f32], row: &[f32], f: impl Fn(f32, f32) -> f32) -> f64 {
-    let mut total = 0.0;
-    for (q, r) in query.chunks(CHUNK).zip(row.chunks(CHUNK)) {
-        let (q_lanes, q_rest) = q.as_chunks::<LANES>();
-        let (r_lanes, r_rest) = r.as_chunks::<LANES>();
-        let mut lanes = [0.0f32; LANES];
-        for (q, r) in q_lanes.iter().zip(r_lanes) {
-            for k in 0..LANES {
-                lanes[k] += f(q[k], r[k]);
+fn sums_f32(query: &[f32], pair: [&[f32]; PAIR], f: impl Fn(f32, f32) -> f32) -> [f64; PAIR] {
+    let mut totals = [0.0; PAIR];
+    for (start, chunk) in (0..).step_by(CHUNK).zip(query.chunks(CHUNK)) {
+        let (q_lanes, q_rest) = chunk.as_chunks::<LANES>();
+        let rows = pair.map(|row| row[start..start + chunk.len()].as_chunks::<LANES>());
+        let mut lanes = [[0.0f32; LANES]; PAIR];
+        for (at, q_span) in (0..).step_by(SPAN).zip(q_lanes.chunks(SPAN)) {
+            for (lanes, (r_lanes, _)) in lanes.iter_mut().zip(rows) {
+                let mut sums = *lanes;
+                for (q, r) in q_span.iter().zip(&r_lanes[at..at + q_span.len()]) {
+                    for k in 0..LANES {
+                        sums[k] += f(q[k], r[k]);
+                    }
+                }
+                *lanes = sums;
             }
         }
-        total += lanes.iter().map(|v| f64::from(*v)).sum::<f64>();
-        total += q_rest
-            .iter()
-            .zip(r_rest)
-            .map(|(q, r)| f64::from(f(*q, *r)))
-            .sum::<f64>();
+        for ((total, lanes), (_, r_rest)) in totals.iter_mut().zip(lanes).zip(rows) {
+            *total += lanes.iter().map(|v| f64::from(*v)).sum::<f64>();
+            let rest = q_rest.iter().zip(r_rest);
+            *total += rest.map(|(q, r)| f64::from(f(*q, *r))).sum::<f64>();
+        }
     }
-    total
+    totals
 }
 
 /// Σ f(q, r) in f64: the slow and safe way.
@@ -145,39 +172,69 @@ fn sum_f64(query: &[f32], row: &[f32], f: impl Fn(f64, f64) -> f64) -> f64 {
         .sum()
 }
 
-/// (Σ q·r, Σ r²) with products in f64: f32 products would lose a small cosine.
-///
-fn dot_and_square(query: &[f32], row: &[f32]) -> (f64, f64) {
-    let (q_lanes, q_rest) = query.as_chunks();
-    let (r_lanes, r_rest) = row.as_chunks();
-    let (dots, squares) = dot_and_square_lanes(q_lanes, r_lanes);
-    let (mut dot, mut square) = (add_lanes(dots), add_lanes(squares));
-    for (q, r) in q_rest.iter().zip(r_rest) {
-        dot += f64::from(*q) * f64::from(*r);
-        square += f64::from(*r) * f64::from(*r);
+/// (Σ q·r, Σ r²) of each row, the query widened beforehand. The products of the first sum are f64: f32 would lose a
+/// small cosine. The second has no terms to cancel and is summed as in [`sums_f32`].
+fn dots_and_squares(query: &[f64], pair: [&[f32]; PAIR]) -> [(f64, f64); PAIR] {
+    let mut totals = [(0.0, 0.0); PAIR];
+    for (start, chunk) in (0..).step_by(CHUNK).zip(query.chunks(CHUNK)) {
+        let (q_lanes, q_rest) = chunk.as_chunks::<LANES>();
+        let rows = pair.map(|row| row[start..start + chunk.len()].as_chunks::<LANES>());
+        let mut dots = [[0.0f64; LANES / 2]; PAIR];
+        let mut squares = [[0.0f32; LANES]; PAIR];
+        for (at, q_span) in (0..).step_by(SPAN).zip(q_lanes.chunks(SPAN)) {
+            for ((dots, squares), (r_lanes, _)) in dots.iter_mut().zip(&mut squares).zip(rows) {
+                let r_span = &r_lanes[at..at + q_span.len()];
+                add_dots(dots, q_span, r_span);
+                add_squares(squares, r_span);
+            }
+        }
+        let lanes = dots.iter().zip(&squares).zip(rows);
+        for ((dot, square), ((dots, squares), (_, r_rest))) in
+            totals.iter_mut().map(|(d, s)| (d, s)).zip(lanes)
+        {
+            *dot += dots.iter().sum::<f64>();
+            *square += squares.iter().map(|v| f64::from(*v)).sum::<f64>();
+            for (q, r) in q_rest.iter().zip(r_rest) {
+                *dot += q * f64::from(*r);
+                *square += f64::from(r * r);
+            }
+        }
     }
-    (dot, square)
+    for ((_, square), row) in totals.iter_mut().zip(pair) {
+        if !TRUSTED.contains(square) {
+            *square = sum_f64(row, row, |r, _| r * r);
+        }
+    }
+    totals
 }
 
-/// The two sums have a loop each over the lanes, and the function is not inlined: only so do they vectorise, which
-/// halves the time.
-#[inline(never)]
-fn dot_and_square_lanes(query: &[[f32; 8]], row: &[[f32; 8]]) -> ([f64; 8], [f64; 8]) {
-    let (mut dots, mut squares) = ([0.0; 8], [0.0; 8]);
-    for (q, r) in query.iter().zip(row) {
-        let (q, r) = (q.map(f64::from), r.map(f64::from));
-        for k in 0..8 {
-            dots[k] += q[k] * r[k];
-        }
-        for k in 0..8 {
-            squares[k] += r[k] * r[k];
+#[inline(always)]
+fn add_dots(lanes: &mut [f64; LANES / 2], query: &[[f64; LANES]], row: &[[f32; LANES]]) {
+    let mut sums = *lanes;
+    for (q, r) in query
+        .as_flattened()
+        .as_chunks()
+        .0
+        .iter()
+        .zip(row.as_flattened().as_chunks().0)
+    {
+        let (q, r): (&[f64; LANES / 2], &[f32; LANES / 2]) = (q, r);
+        for k in 0..LANES / 2 {
+            sums[k] += q[k] * f64::from(r[k]);
         }
     }
-    (dots, squares)
+    *lanes = sums;
 }
 
-fn add_lanes(r: [f64; 8]) -> f64 {
-    ((r[0] + r[1]) + (r[2] + r[3])) + ((r[4] + r[5]) + (r[6] + r[7]))
+#[inline(always)]
+fn add_squares(lanes: &mut [f32; LANES], row: &[[f32; LANES]]) {
+    let mut sums = *lanes;
+    for r in row {
+        for k in 0..LANES {
+            sums[k] += r[k] * r[k];
+        }
+    }
+    *lanes = sums;
 }
 
 #[cfg(test)]

@@ -1,0 +1,190 @@
+//! Steps 1 and 2 of the matching, as far as statistics go: mean and scale of each column, then of each row of what
+//! comes out.
+//!
+//! A block of columns is read from the ring once and stays in the cache for three passes: means, variances, and the
+//! sums of z and z² of each row. Blocks are independent; the rows' sums are added up in the order of the blocks.
+
+use super::{EPSILON, RowScale, Window};
+use crate::simd::{Kernel, run_widest};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// A column whose standard deviation (plus 1e-8) lies below this is not scaled.
+const FLAT: f64 = 1e-4;
+/// Columns per block: with L = 30 the block takes 30 KiB.
+const BLOCK: usize = 128;
+/// Largest |mean|/σ of a row at which its variance may be taken from the sums of z and z²: 4 of 16 digits are lost
+/// then, and the scores keep 1e-11.
+const STEEPEST: f64 = 100.0;
+
+/// z = op(x − mean, by), column by column.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Standardise<'a, F> {
+    pub(super) mean: &'a [f64],
+    pub(super) by: &'a [f64],
+    pub(super) op: F,
+}
+
+/// Σz and Σz² of a row, or a part of it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Moments {
+    sum: f64,
+    squares: f64,
+}
+
+/// Statistics of the columns of a window.
+#[derive(Debug)]
+pub(super) struct Columns {
+    mean: Vec<f64>,
+    /// σ + 1e-8, or 1 where that is less than [`FLAT`].
+    scale: Vec<f64>,
+    /// 1 / scale.
+    inverse: Vec<f64>,
+    /// Block by block, one entry per tick of the window.
+    moments: Vec<Moments>,
+}
+
+impl Columns {
+    /// Memory for so many columns and a window of up to `length` ticks.
+    pub(super) fn new(columns: usize, length: usize) -> Self {
+        Self {
+            mean: vec![0.0; columns],
+            scale: vec![0.0; columns],
+            inverse: vec![0.0; columns],
+            moments: vec![Moments::default(); columns.div_ceil(BLOCK) * length],
+        }
+    }
+
+    /// z as a quotient, as NumPy computes it.
+    pub(super) fn by_quotient(&self) -> Standardise<'_, impl Fn(f64, f64) -> f64 + Copy + Sync> {
+        Standardise {
+            mean: &self.mean,
+            by: &self.scale,
+            op: |difference, scale| difference / scale,
+        }
+    }
+
+    /// z as a product with the inverse scale: several times as fast as the quotient, and at most two roundings of
+    /// the last digit away from it.
+    pub(super) fn by_product(&self) -> Standardise<'_, impl Fn(f64, f64) -> f64 + Copy + Sync> {
+        Standardise {
+            mean: &self.mean,
+            by: &self.inverse,
+            op: |difference, inverse| difference * inverse,
+        }
+    }
+
+    /// Takes the statistics of the window.
+    pub(super) fn measure(&mut self, window: Window<'_>) {
+        let n = window.len();
+        let blocks = self
+            .mean
+            .par_chunks_mut(BLOCK)
+            .zip(self.scale.par_chunks_mut(BLOCK))
+            .zip(self.inverse.par_chunks_mut(BLOCK))
+            .zip(self.moments.par_chunks_mut(n))
+            .enumerate();
+        let most = if window.is_large() { 8 } else { usize::MAX };
+        blocks
+            .with_min_len(most)
+            .for_each(|(index, (((mean, scale), inverse), moments))| {
+                let start = index * BLOCK;
+                run_widest(Block {
+                    window,
+                    columns: start..start + mean.len(),
+                    mean,
+                    scale,
+                    inverse,
+                    moments,
+                });
+            });
+    }
+
+    /// Mean and scale of each row of the window that was measured last; false where the places of a row changed too
+    /// much alike for its moments to tell.
+    pub(super) fn row_scales(&self, window: Window<'_>, scales: &mut [RowScale]) -> bool {
+        let (n, columns) = (window.len(), window.columns);
+        let moments = &self.moments[..columns.div_ceil(BLOCK) * n];
+        for (k, scale) in scales.iter_mut().enumerate() {
+            let blocks = || moments.iter().skip(k).step_by(n);
+            let mean = blocks().map(|b| b.sum).sum::<f64>() / columns as f64;
+            // Σ(z − mean)² block by block, so that rounding errors do not grow with the map.
+            let mut squares = 0.0;
+            for (start, block) in (0..columns).step_by(BLOCK).zip(blocks()) {
+                let width = BLOCK.min(columns - start) as f64;
+                squares += block.squares - mean * (2.0 * block.sum - width * mean);
+            }
+            let variance = squares / columns as f64;
+            if variance.is_nan() || mean * mean > STEEPEST * STEEPEST * variance {
+                return false;
+            }
+            *scale = RowScale::new(mean, variance);
+        }
+        true
+    }
+}
+
+/// A block of columns under way.
+struct Block<'a> {
+    window: Window<'a>,
+    columns: Range<usize>,
+    mean: &'a mut [f64],
+    scale: &'a mut [f64],
+    inverse: &'a mut [f64],
+    moments: &'a mut [Moments],
+}
+
+impl Kernel for Block<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let n = self.window.len() as f64;
+        let rows = || self.window.rows().map(|row| &row[self.columns.clone()]);
+        self.mean.fill(0.0);
+        for row in rows() {
+            for (m, x) in self.mean.iter_mut().zip(row) {
+                *m += x;
+            }
+        }
+        self.mean.iter_mut().for_each(|m| *m /= n);
+        self.scale.fill(0.0);
+        for row in rows() {
+            for ((v, m), x) in self.scale.iter_mut().zip(&*self.mean).zip(row) {
+                *v += (x - m) * (x - m);
+            }
+        }
+        for (v, inverse) in self.scale.iter_mut().zip(&mut *self.inverse) {
+            let sigma = (*v / n).sqrt() + EPSILON;
+            *v = if sigma < FLAT { 1.0 } else { sigma };
+            *inverse = 1.0 / *v;
+        }
+        for (moments, row) in self.moments.iter_mut().zip(rows()) {
+            *moments = moments_of(row, self.mean, self.inverse);
+        }
+    }
+}
+
+/// Σz and Σz² with z = (x − mean)·inverse.
+#[inline(always)]
+fn moments_of(x: &[f64], mean: &[f64], inverse: &[f64]) -> Moments {
+    let (x_lanes, x_rest) = x.as_chunks::<8>();
+    let (m_lanes, m_rest) = mean.as_chunks::<8>();
+    let (i_lanes, i_rest) = inverse.as_chunks::<8>();
+    let (mut sums, mut squares) = ([0.0; 8], [0.0; 8]);
+    for ((x, m), i) in x_lanes.iter().zip(m_lanes).zip(i_lanes) {
+        for k in 0..8 {
+            let z = (x[k] - m[k]) * i[k];
+            sums[k] += z;
+            squares[k] += z * z;
+        }
+    }
+    let mut moments = Moments {
+        sum: sums.iter().sum(),
+        squares: squares.iter().sum(),
+    };
+    for ((x, m), i) in x_rest.iter().zip(m_rest).zip(i_rest) {
+        let z = (x - m) * i;
+        moments.sum += z;
+        moments.squares += z * z;
+    }
+    moments
+}
