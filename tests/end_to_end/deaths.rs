@@ -19,7 +19,18 @@ fn kill_one(kind: &str, delivery: &str, extra: &[&str]) -> (Bench, After) {
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
     let mut args = vec![
-        "run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "--pace", PACE, "--delivery", delivery,
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "--pace",
+        PACE,
+        "--delivery",
+        delivery,
     ];
     args.extend_from_slice(extra);
     let mut running = Running::start(&bench, &args);
@@ -30,7 +41,13 @@ fn kill_one(kind: &str, delivery: &str, extra: &[&str]) -> (Bench, After) {
     assert_eq!(said.code(), 0, "{}", said.stderr);
     assert_ticks(&answers, TICKS);
     assert_eq!(bench.left_behind(), Vec::<String>::new());
-    (bench, After { answers, stderr: said.stderr })
+    (
+        bench,
+        After {
+            answers,
+            stderr: said.stderr,
+        },
+    )
 }
 
 fn complete(answer: &Value) -> bool {
@@ -43,7 +60,11 @@ fn check_members_return(after: &After, reason: &str) {
     let seen = reasons(&after.answers);
     assert!(seen.contains_key(reason), "{seen:?}\n{}", after.stderr);
     let last_missing = after.answers.iter().rposition(|a| !complete(a)).unwrap();
-    assert!(last_missing + 1 < after.answers.len(), "the members did not return\n{}", after.stderr);
+    assert!(
+        last_missing + 1 < after.answers.len(),
+        "the members did not return\n{}",
+        after.stderr
+    );
 }
 
 #[test]
@@ -61,18 +82,41 @@ fn lossless_extractor_dies() {
 #[test]
 fn lossless_ingest_dies_and_nothing_is_lost() {
     let (_bench, after) = kill_one("ingest", "lossless", &[]);
-    assert!(after.answers.iter().all(complete), "{:?}", reasons(&after.answers));
+    assert!(
+        after.answers.iter().all(complete),
+        "{:?}",
+        reasons(&after.answers)
+    );
     assert!(after.stderr.contains("ingest died"), "{}", after.stderr);
 }
 
 #[test]
 fn lossless_fuser_dies_and_nothing_is_lost() {
     let (bench, after) = kill_one("fuse", "lossless", &[]);
-    assert!(after.answers.iter().all(complete), "{:?}", reasons(&after.answers));
+    assert!(
+        after.answers.iter().all(complete),
+        "{:?}",
+        reasons(&after.answers)
+    );
     // History is rebuilt, so the answers are those of an undisturbed run.
     let out = bench.path("undisturbed.jsonl");
-    let (config, query, map) = (bench.path("ensemble.toml"), bench.path("query.txt"), bench.path("map"));
-    let said = bench.run(&["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "-o", text(&out)]);
+    let (config, query, map) = (
+        bench.path("ensemble.toml"),
+        bench.path("query.txt"),
+        bench.path("map"),
+    );
+    let said = bench.run(&[
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "-o",
+        text(&out),
+    ]);
     assert_eq!(said.code(), 0, "{}", said.stderr);
     for (a, b) in super::support::read_answers(&out).iter().zip(&after.answers) {
         assert_eq!(super::support::timeless(a), super::support::timeless(b));
@@ -84,7 +128,11 @@ fn lossless_recorder_dies_and_nothing_is_lost() {
     let record = tempfile::tempdir().unwrap();
     let recorded = record.path().join("recorded");
     let (bench, after) = kill_one("record", "lossless", &["--record", text(&recorded)]);
-    assert!(after.answers.iter().all(complete), "{:?}", reasons(&after.answers));
+    assert!(
+        after.answers.iter().all(complete),
+        "{:?}",
+        reasons(&after.answers)
+    );
     let said = bench.run(&["map", "info", "--json", text(&recorded)]);
     let manifest: Value = serde_json::from_str(&said.stdout).unwrap();
     for member in manifest["members"].as_array().unwrap() {
@@ -133,9 +181,24 @@ fn unpaced_replay_survives_every_kind_of_death_in_a_row() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", 3000, 2);
-    let args = ["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map)];
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+    ];
     let mut running = Running::start(&bench, &args);
-    for (at, kind) in [(100, "reconstruct"), (400, "extract"), (700, "fuse"), (1000, "ingest"), (1300, "fuse")] {
+    for (at, kind) in [
+        (100, "reconstruct"),
+        (400, "extract"),
+        (700, "fuse"),
+        (1000, "ingest"),
+        (1300, "fuse"),
+    ] {
         assert!(running.read_to(at));
         for pid in running.services(kind) {
             Running::signal(pid, Signal::SIGKILL);
@@ -153,16 +216,40 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = ["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "--pace", "1"];
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "--pace",
+        "1",
+    ];
     let mut running = Running::start(&bench, &args);
     assert!(running.read_to(5));
-    let orphans: Vec<i32> =
-        ["ingest", "reconstruct", "extract", "fuse"].iter().flat_map(|k| running.services(k)).collect();
+    let orphans: Vec<i32> = ["ingest", "reconstruct", "extract", "fuse"]
+        .iter()
+        .flat_map(|k| running.services(k))
+        .collect();
     assert_eq!(orphans.len(), 6);
     Running::signal(running.pid(), Signal::SIGKILL);
     let _ = running.finish();
     let out = bench.path("again.jsonl");
-    let again = bench.run(&["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "-o", text(&out)]);
+    let again = bench.run(&[
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "-o",
+        text(&out),
+    ]);
     assert_eq!(again.code(), 0, "{}", again.stderr);
     assert!(again.stderr.contains("earlier run"), "{}", again.stderr);
     assert_ticks(&super::support::read_answers(&out), TICKS);

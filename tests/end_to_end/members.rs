@@ -9,12 +9,27 @@ use serde_json::Value;
 use std::path::Path;
 
 fn plan(bench: &Bench, config: &Path, input: &Path, map: &Path) -> Plan {
-    let catalog = Catalog { reconstructions: &evpr_reconstruct::KINDS, extractors: &evpr_extract::KINDS };
+    let catalog = Catalog {
+        reconstructions: &evpr_reconstruct::KINDS,
+        extractors: &evpr_extract::KINDS,
+    };
     let text = std::fs::read_to_string(config).unwrap();
     let config = config::parse(&text, "ensemble.toml", &catalog).unwrap();
-    let overrides = Overrides { input: Some(input.to_owned()), map: Some(map.to_owned()), ..Overrides::default() };
+    let overrides = Overrides {
+        input: Some(input.to_owned()),
+        map: Some(map.to_owned()),
+        ..Overrides::default()
+    };
     let _ = bench;
-    config.resolve(Sensor { height: 48, width: 64 }, &overrides).unwrap()
+    config
+        .resolve(
+            Sensor {
+                height: 48,
+                width: 64,
+            },
+            &overrides,
+        )
+        .unwrap()
 }
 
 /// Asks the running instance and gives the tick from which the change holds.
@@ -22,7 +37,9 @@ fn switch(bench: &Bench, verb: &str, member: &str) -> u64 {
     let said = bench.run(&["member", verb, "--json", member]);
     assert_eq!(said.code(), 0, "{}", said.stderr);
     let reply: Value = serde_json::from_str(&said.stdout).unwrap();
-    reply["from_tick"].as_u64().unwrap_or_else(|| panic!("no tick in {reply}"))
+    reply["from_tick"]
+        .as_u64()
+        .unwrap_or_else(|| panic!("no tick in {reply}"))
 }
 
 #[test]
@@ -32,11 +49,31 @@ fn every_member_goes_off_and_on_and_the_answers_are_those_of_exactly_these_holes
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
     let recorded = bench.path("recorded");
-    let whole = ["run", "-q", "-c", text(&config), "-i", text(&query), "-r", text(&recorded)];
+    let whole = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-r",
+        text(&recorded),
+    ];
     assert_eq!(bench.run(&whole).code(), 0);
 
     let plan = plan(&bench, &config, &query, &map);
-    let args = ["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "--pace", "4"];
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "--pace",
+        "4",
+    ];
     let mut running = Running::start(&bench, &args);
     let mut off: Vec<(usize, u64, u64)> = Vec::new();
     for (index, member) in plan.members.iter().enumerate() {
@@ -52,10 +89,18 @@ fn every_member_goes_off_and_on_and_the_answers_are_those_of_exactly_these_holes
     let (answers, said) = running.finish();
     assert_eq!(said.code(), 0, "{}", said.stderr);
     assert_ticks(&answers, TICKS);
-    assert!(answers.iter().all(|a| a["missing"].as_object().unwrap().is_empty()), "nothing enabled was missing");
+    assert!(
+        answers
+            .iter()
+            .all(|a| a["missing"].as_object().unwrap().is_empty()),
+        "nothing enabled was missing"
+    );
 
     let enabled = |tick: u64| -> MemberSet {
-        let is_off = |m: usize| off.iter().any(|(index, from, until)| *index == m && (*from..*until).contains(&tick));
+        let is_off = |m: usize| {
+            off.iter()
+                .any(|(index, from, until)| *index == m && (*from..*until).contains(&tick))
+        };
         let none = (none_from..none_until).contains(&tick);
         (0..plan.members.len()).filter(|m| !none && !is_off(*m)).collect()
     };
@@ -72,12 +117,30 @@ fn every_member_goes_off_and_on_and_the_answers_are_those_of_exactly_these_holes
         assert_eq!(answer["reference"].as_u64(), reference, "{answer}");
         if reference.is_some() {
             let (got, wanted) = (answer["score"].as_f64().unwrap(), header.score);
-            assert!((got - wanted).abs() <= 1e-9, "tick {}: {got} against {wanted}", header.tick);
+            assert!(
+                (got - wanted).abs() <= 1e-9,
+                "tick {}: {got} against {wanted}",
+                header.tick
+            );
         } else {
-            assert_eq!(answer["reason"].as_str(), Reason::from_code(header.reason).map(Reason::text));
+            assert_eq!(
+                answer["reason"].as_str(),
+                Reason::from_code(header.reason).map(Reason::text)
+            );
         }
-        let used = enabled(header.tick).iter().map(|m| plan.members[m].name.as_str()).collect::<Vec<_>>();
-        assert_eq!(answer["members"].as_array().unwrap().iter().map(|m| m.as_str().unwrap()).collect::<Vec<_>>(), used);
+        let used = enabled(header.tick)
+            .iter()
+            .map(|m| plan.members[m].name.as_str())
+            .collect::<Vec<_>>();
+        assert_eq!(
+            answer["members"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|m| m.as_str().unwrap())
+                .collect::<Vec<_>>(),
+            used
+        );
     }
     let in_the_dark = &answers[none_from as usize];
     assert_eq!(in_the_dark["reason"], "all members are disabled");
@@ -90,11 +153,26 @@ fn unknown_members_and_illegal_weights_are_refused_and_weights_take_effect() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = ["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "--pace", "5"];
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "--pace",
+        "5",
+    ];
     let mut running = Running::start(&bench, &args);
     assert!(running.read_to(5));
     for (args, words, code) in [
-        (["member", "disable", "event_cont@50ms/patch_norm"].as_slice(), "there is no member", 1),
+        (
+            ["member", "disable", "event_cont@50ms/patch_norm"].as_slice(),
+            "there is no member",
+            1,
+        ),
         (&["member", "weight", "-1", "all"], "not a weight", 2),
         (&["member", "weight", "NaN", "all"], "not a weight", 2),
     ] {

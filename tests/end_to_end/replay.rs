@@ -11,7 +11,18 @@ fn matches(bench: &Bench, out: &str, extra: &[&str]) -> Vec<serde_json::Value> {
     let query = bench.path("query.txt");
     let out = bench.path(out);
     let map = bench.path("map");
-    let mut args = vec!["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "-o", text(&out)];
+    let mut args = vec![
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "-o",
+        text(&out),
+    ];
     args.extend_from_slice(extra);
     let said = bench.run(&args);
     assert_eq!(said.code(), 0, "{}", said.stderr);
@@ -31,7 +42,11 @@ fn a_route_seen_again_is_recognised_and_two_replays_agree() {
     assert_eq!(first[10]["members"].as_array().unwrap().len(), 8);
     let right = first.iter().filter(|a| a["reference"] == a["tick"]).count() as u64;
     assert!(right >= TICKS * 9 / 10, "{right} of {TICKS} right");
-    let second = matches(&bench, "second.jsonl", &["--record", text(&bench.path("recorded"))]);
+    let second = matches(
+        &bench,
+        "second.jsonl",
+        &["--record", text(&bench.path("recorded"))],
+    );
     for (a, b) in first.iter().zip(&second) {
         assert_eq!(timeless(a), timeless(b));
     }
@@ -50,7 +65,11 @@ fn paced_latest_delivery_gives_the_same_answers_when_nothing_is_late() {
     assert_ticks(&lossless, 60);
     assert_ticks(&latest, 60);
     // Whatever the load of the machine: where nothing is missing within the sequence, the answers are the same.
-    let whole = |window: &[serde_json::Value]| window.iter().all(|a| a["missing"].as_object().unwrap().is_empty());
+    let whole = |window: &[serde_json::Value]| {
+        window
+            .iter()
+            .all(|a| a["missing"].as_object().unwrap().is_empty())
+    };
     let mut compared = 0;
     for end in SEQUENCE..=latest.len() {
         if whole(&latest[end - SEQUENCE..end]) {
@@ -68,7 +87,18 @@ fn ctrl_c_ends_in_an_orderly_way_with_130() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = ["run", "-q", "-c", text(&config), "-i", text(&query), "-m", text(&map), "--pace", "2"];
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "--pace",
+        "2",
+    ];
     let mut running = super::support::Running::start(&bench, &args);
     assert!(running.read_to(10));
     super::support::Running::signal(running.pid(), Signal::SIGINT);
@@ -90,6 +120,9 @@ fn overload_in_latest_delivery_drops_ticks_but_answers_each_once() {
     let missing = reasons(&answers);
     assert!(!missing.is_empty(), "nothing was dropped");
     let known = ["late", "dropped", "incomplete", "lost"];
-    assert!(missing.keys().all(|r| known.iter().any(|k| r.starts_with(k))), "{missing:?}");
+    assert!(
+        missing.keys().all(|r| known.iter().any(|k| r.starts_with(k))),
+        "{missing:?}"
+    );
     assert_eq!(bench.left_behind(), Vec::<String>::new());
 }

@@ -45,8 +45,15 @@ impl Said {
 impl Bench {
     pub(crate) fn new() -> Self {
         // Short, because socket paths are.
-        let run_root = tempfile::Builder::new().prefix("ev").rand_bytes(5).tempdir_in("/tmp").unwrap();
-        Self { folder: tempfile::tempdir().unwrap(), run_root }
+        let run_root = tempfile::Builder::new()
+            .prefix("ev")
+            .rand_bytes(5)
+            .tempdir_in("/tmp")
+            .unwrap();
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            run_root,
+        }
     }
 
     pub(crate) fn path(&self, name: &str) -> PathBuf {
@@ -67,7 +74,9 @@ impl Bench {
     /// A program with this bench's run folder, started in this bench's folder.
     fn command(&self, program: &str) -> Command {
         let mut command = Command::new(program);
-        command.env("EVPR_RUN_DIR", self.run_root.path()).current_dir(self.folder.path());
+        command
+            .env("EVPR_RUN_DIR", self.run_root.path())
+            .current_dir(self.folder.path());
         command
     }
 
@@ -77,10 +86,15 @@ impl Bench {
     pub(crate) fn run_with_mounts(&self, test: &str, mount: &str, script: &str) -> Option<Said> {
         const CANNOT_MOUNT: i32 = 99;
         let script = format!("{{ {mount}; }} || exit {CANNOT_MOUNT}\n{script}");
-        let may_unshare = Command::new("unshare").args(["-m", "true"]).stderr(Stdio::null()).status();
+        let may_unshare = Command::new("unshare")
+            .args(["-m", "true"])
+            .stderr(Stdio::null())
+            .status();
         if may_unshare.is_ok_and(|status| status.success()) {
             let mut command = self.command("unshare");
-            command.args(["-m", "sh", "-c", &script]).env("EVPR", env!("CARGO_BIN_EXE_evpr"));
+            command
+                .args(["-m", "sh", "-c", &script])
+                .env("EVPR", env!("CARGO_BIN_EXE_evpr"));
             let said = finish(&mut command);
             if said.code() != CANNOT_MOUNT {
                 return Some(said);
@@ -127,7 +141,14 @@ impl Bench {
                 let spot = tick * 7 + i % 5;
                 let (cx, cy) = ((spot * 37) % 60, (spot * 23) % 44);
                 let (x, y) = (cx + random(4), cy + random(4));
-                writeln!(out, "{}.{:06} {x} {y} {}", t_us / 1_000_000, t_us % 1_000_000, random(2)).unwrap();
+                writeln!(
+                    out,
+                    "{}.{:06} {x} {y} {}",
+                    t_us / 1_000_000,
+                    t_us % 1_000_000,
+                    random(2)
+                )
+                .unwrap();
             }
         }
         out.flush().unwrap();
@@ -139,7 +160,15 @@ impl Bench {
         let recording = self.recording("reference.txt", TICKS, 1);
         let map = self.path("map");
         let said = self.run(&[
-            "map", "build", "-q", "-c", text(config), "-i", text(&recording), "-o", text(&map),
+            "map",
+            "build",
+            "-q",
+            "-c",
+            text(config),
+            "-i",
+            text(&recording),
+            "-o",
+            text(&map),
         ]);
         assert_eq!(said.code(), 0, "{}", said.stderr);
         map
@@ -154,7 +183,10 @@ impl Bench {
             .map(|e| e.path().display().to_string())
             .collect();
         let prefix = shm_prefix(&self.run_root.path().join("evpr"));
-        let shared = fs::read_dir("/dev/shm").unwrap().flatten().map(|e| e.file_name().to_string_lossy().into_owned());
+        let shared = fs::read_dir("/dev/shm")
+            .unwrap()
+            .flatten()
+            .map(|e| e.file_name().to_string_lossy().into_owned());
         left.extend(shared.filter(|name| name.starts_with(&prefix)));
         left
     }
@@ -162,9 +194,13 @@ impl Bench {
 
 /// The prefix of an instance's names in shared memory (FNV-1a of its run folder).
 fn shm_prefix(run_folder: &Path) -> String {
-    let hash = run_folder.as_os_str().as_encoded_bytes().iter().fold(0xcbf2_9ce4_8422_2325u64, |h, b| {
-        (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)
-    });
+    let hash = run_folder
+        .as_os_str()
+        .as_encoded_bytes()
+        .iter()
+        .fold(0xcbf2_9ce4_8422_2325u64, |h, b| {
+            (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3)
+        });
     format!("evpr{:010x}_", hash & 0xff_ffff_ffff)
 }
 
@@ -183,7 +219,8 @@ impl Watchdog {
         std::thread::spawn(move || {
             if wait.recv_timeout(WATCHDOG) == Err(RecvTimeoutError::Timeout) {
                 eprintln!("watchdog: process {pid} took longer than {WATCHDOG:?} and is killed");
-                let _ = nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid as i32), nix::sys::signal::SIGKILL);
+                let _ =
+                    nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid as i32), nix::sys::signal::SIGKILL);
             }
         });
         Self { _done: done }
@@ -192,7 +229,12 @@ impl Watchdog {
 
 /// Runs a command to its end under the watchdog.
 pub(crate) fn finish(command: &mut Command) -> Said {
-    let child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let child = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
     let _watchdog = Watchdog::over(child.id());
     let output = child.wait_with_output().unwrap();
     Said {
@@ -229,7 +271,13 @@ impl Running {
             text
         });
         let _watchdog = Watchdog::over(child.id());
-        Self { child, lines, stderr, answers: Vec::new(), _watchdog }
+        Self {
+            child,
+            lines,
+            stderr,
+            answers: Vec::new(),
+            _watchdog,
+        }
     }
 
     pub(crate) fn pid(&self) -> i32 {
@@ -238,7 +286,11 @@ impl Running {
 
     /// Reads answers up to and including this tick; false when the run ended before.
     pub(crate) fn read_to(&mut self, tick: u64) -> bool {
-        while self.answers.last().is_none_or(|a| a["tick"].as_u64().unwrap() < tick) {
+        while self
+            .answers
+            .last()
+            .is_none_or(|a| a["tick"].as_u64().unwrap() < tick)
+        {
             let mut line = String::new();
             if self.lines.read_line(&mut line).unwrap() == 0 {
                 return false;
@@ -256,7 +308,11 @@ impl Running {
             let words: Vec<_> = line.split(|b| *b == 0).collect();
             words.get(1) == Some(&&b"service"[..]) && words.get(2) == Some(&kind.as_bytes())
         };
-        children.split_whitespace().map(|pid| pid.parse().unwrap()).filter(of_kind).collect()
+        children
+            .split_whitespace()
+            .map(|pid| pid.parse().unwrap())
+            .filter(of_kind)
+            .collect()
     }
 
     pub(crate) fn signal(pid: i32, signal: nix::sys::signal::Signal) {
@@ -268,13 +324,24 @@ impl Running {
         self.read_to(u64::MAX);
         let status = self.child.wait().unwrap();
         let stderr = self.stderr.join().unwrap();
-        (self.answers, Said { status, stdout: String::new(), stderr })
+        (
+            self.answers,
+            Said {
+                status,
+                stdout: String::new(),
+                stderr,
+            },
+        )
     }
 }
 
 /// Reads a file of answers.
 pub(crate) fn read_answers(path: &Path) -> Vec<Value> {
-    fs::read_to_string(path).unwrap().lines().map(|l| serde_json::from_str(l).unwrap()).collect()
+    fs::read_to_string(path)
+        .unwrap()
+        .lines()
+        .map(|l| serde_json::from_str(l).unwrap())
+        .collect()
 }
 
 /// Every tick once and in order.
@@ -303,7 +370,9 @@ pub(crate) fn reasons(answers: &[Value]) -> HashMap<String, usize> {
 
 /// The folder with real data beside the project, or None with a note that names the test.
 pub(crate) fn shared_data(test: &str, file: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(file);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../../shared")
+        .join(file);
     if path.exists() {
         return Some(path);
     }

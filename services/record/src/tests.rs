@@ -140,11 +140,14 @@ fn rows_and_holes_are_recorded_in_order() {
         .iter()
         .map(|t| (t.start_us, t.end_us, t.position))
         .collect();
-    assert_eq!(times, [
+    assert_eq!(
+        times,
+        [
             (0, 1000, Some([0.5, -1.0])),
             (1000, 2000, None),
             (2000, 3000, Some([2.5, -1.0]))
-        ]);
+        ]
+    );
     t.check_against(&bench.plan).unwrap();
     assert!(evpr_store::verify(t.path()).unwrap().problems.is_empty());
 }
