@@ -13,6 +13,7 @@
 //! cancel, are f64. The result is within 1e-5 of the exact one, relatively; where f32 would overflow or lose a tiny
 //! sum, the row is computed again in f64.
 
+use crate::simd::{Kernel, run_widest};
 use evpr_core::plan::Similarity;
 use rayon::prelude::*;
 
@@ -33,38 +34,62 @@ const TRUSTED: std::ops::Range<f64> = 1e-25..1e35;
 
 /// −‖q − r‖₂ for each map row. See [`similarity`].
 pub fn l2(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    each_pair(query.len(), rows, valid, out, |pair| {
-        distances_squared(query, pair).map(|d| -d.sqrt())
-    });
+    each_pair(
+        query.len(),
+        rows,
+        valid,
+        out,
+        #[inline(always)]
+        |pair| distances_squared(query, pair).map(|d| -d.sqrt()),
+    );
 }
 
 /// −‖q − r‖₂² for each map row. See [`similarity`].
 pub fn l2_squared(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    each_pair(query.len(), rows, valid, out, |pair| {
-        distances_squared(query, pair).map(|d| -d)
-    });
+    each_pair(
+        query.len(),
+        rows,
+        valid,
+        out,
+        #[inline(always)]
+        |pair| distances_squared(query, pair).map(|d| -d),
+    );
 }
 
 /// q·r / (‖q‖ ‖r‖) for each map row; a norm below 1e-12 counts as 1e-12. See [`similarity`].
 pub fn cosine(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
     let wide: Vec<f64> = query.iter().map(|q| f64::from(*q)).collect();
     let query_norm = sum_f64(query, query, |q, _| q * q).sqrt().max(1e-12);
-    each_pair(query.len(), rows, valid, out, |pair| {
-        dots_and_squares(&wide, pair).map(|(dot, square)| dot / (query_norm * square.sqrt().max(1e-12)))
-    });
+    each_pair(
+        query.len(),
+        rows,
+        valid,
+        out,
+        #[inline(always)]
+        |pair| {
+            dots_and_squares(&wide, pair).map(|(dot, square)| dot / (query_norm * square.sqrt().max(1e-12)))
+        },
+    );
 }
 
 /// −Σ|q − r| for each map row. See [`similarity`].
 pub fn sad(query: &[f32], rows: &[f32], valid: &[bool], out: &mut [f64]) {
-    each_pair(query.len(), rows, valid, out, |pair| {
-        let mut sums = sums_f32(query, pair, |a, b| (a - b).abs());
-        for (sum, row) in sums.iter_mut().zip(pair) {
-            if !sum.is_finite() {
-                *sum = sum_f64(query, row, |a, b| (a - b).abs());
+    each_pair(
+        query.len(),
+        rows,
+        valid,
+        out,
+        #[inline(always)]
+        |pair| {
+            let mut sums = sums_f32(query, pair, |a, b| (a - b).abs());
+            for (sum, row) in sums.iter_mut().zip(pair) {
+                if !sum.is_finite() {
+                    *sum = sum_f64(query, row, |a, b| (a - b).abs());
+                }
             }
-        }
-        sums.map(|sum| -sum)
-    });
+            sums.map(|sum| -sum)
+        },
+    );
 }
 
 /// One row of S: the query row (D values) against the map's `rows` (R×D, row-major).
@@ -97,32 +122,56 @@ fn each_pair<F: Fn([&[f32]; PAIR]) -> [f64; PAIR] + Sync>(
     assert_eq!(rows.len(), out.len() * dim, "rows must be R×D");
     assert_eq!(valid.len(), out.len(), "valid must have R entries");
     let dim = dim.max(1);
-    let serial = |rows: &[f32], valid: &[bool], out: &mut [f64]| {
-        let mut waiting: Option<(&mut f64, &[f32])> = None;
-        for ((out, valid), row) in out.iter_mut().zip(valid).zip(rows.chunks_exact(dim)) {
-            if !valid {
-                *out = f64::NAN;
-            } else if let Some((first_out, first)) = waiting.take() {
-                [*first_out, *out] = scores([first, row]);
-            } else {
-                waiting = Some((out, row));
-            }
-        }
-        if let Some((out, row)) = waiting {
-            [*out, _] = scores([row, row]);
-        }
+    let score = |((out, valid), rows)| {
+        run_widest(Pairs {
+            dim,
+            rows,
+            valid,
+            out,
+            scores: &scores,
+        });
     };
     if rows.len() < PARALLEL_VALUES {
-        return serial(rows, valid, out);
+        return score(((out, valid), rows));
     }
     let block = (BLOCK_VALUES / dim).next_multiple_of(PAIR).max(PAIR);
     out.par_chunks_mut(block)
         .zip(valid.par_chunks(block))
         .zip(rows.par_chunks(block * dim))
-        .for_each(|((out, valid), rows)| serial(rows, valid, out));
+        .for_each(score);
+}
+
+/// Rows under way.
+struct Pairs<'a, F> {
+    dim: usize,
+    rows: &'a [f32],
+    valid: &'a [bool],
+    out: &'a mut [f64],
+    scores: &'a F,
+}
+
+impl<F: Fn([&[f32]; PAIR]) -> [f64; PAIR]> Kernel for Pairs<'_, F> {
+    #[inline(always)]
+    fn run(self) {
+        let mut waiting: Option<(&mut f64, &[f32])> = None;
+        let rows = self.rows.chunks_exact(self.dim);
+        for ((out, valid), row) in self.out.iter_mut().zip(self.valid).zip(rows) {
+            if !valid {
+                *out = f64::NAN;
+            } else if let Some((first_out, first)) = waiting.take() {
+                [*first_out, *out] = (self.scores)([first, row]);
+            } else {
+                waiting = Some((out, row));
+            }
+        }
+        if let Some((out, row)) = waiting {
+            [*out, _] = (self.scores)([row, row]);
+        }
+    }
 }
 
 /// Σ(q − r)² of each row.
+#[inline(always)]
 fn distances_squared(query: &[f32], pair: [&[f32]; PAIR]) -> [f64; PAIR] {
     let mut sums = sums_f32(query, pair, |a, b| (a - b) * (a - b));
     for (sum, row) in sums.iter_mut().zip(pair) {
@@ -174,6 +223,7 @@ fn sum_f64(query: &[f32], row: &[f32], f: impl Fn(f64, f64) -> f64) -> f64 {
 
 /// (Σ q·r, Σ r²) of each row, the query widened beforehand. The products of the first sum are f64: f32 would lose a
 /// small cosine. The second has no terms to cancel and is summed as in [`sums_f32`].
+#[inline(always)]
 fn dots_and_squares(query: &[f64], pair: [&[f32]; PAIR]) -> [(f64, f64); PAIR] {
     let mut totals = [(0.0, 0.0); PAIR];
     for (start, chunk) in (0..).step_by(CHUNK).zip(query.chunks(CHUNK)) {

@@ -5,6 +5,7 @@ use super::runs::Runs;
 use super::{RowScale, Window};
 use crate::simd::{Kernel, run_widest};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// References per block: what is read more than once stays in the fastest cache.
 const BLOCK: usize = 512;
@@ -55,14 +56,7 @@ impl<F: Fn(f64, f64) -> f64 + Copy> Kernel for Block<'_, F> {
                 .within(start.saturating_sub(*lag)..end.saturating_sub(*lag))
             {
                 let to = run.references().start + lag - start..run.references().end + lag - start;
-                let (by, columns) = (self.z, run.columns());
-                let values = row[columns.clone()]
-                    .iter()
-                    .zip(&by.mean[columns.clone()])
-                    .zip(&by.by[columns]);
-                for (out, ((x, m), b)) in self.out[to].iter_mut().zip(values) {
-                    *out += ((by.op)(x - m, *b) - scale.mean) * scale.factor;
-                }
+                add_row(&mut self.out[to], row, run.columns(), self.z, *scale);
             }
         }
         let mut hole = start;
@@ -71,5 +65,23 @@ impl<F: Fn(f64, f64) -> f64 + Copy> Kernel for Block<'_, F> {
             hole = run.references().end;
         }
         self.out[hole - start..].fill(0.0);
+    }
+}
+
+/// out += (z − mean)·factor over these columns of a row.
+#[inline(always)]
+fn add_row<F: Fn(f64, f64) -> f64>(
+    out: &mut [f64],
+    row: &[f64],
+    columns: Range<usize>,
+    z: Standardise<'_, F>,
+    scale: RowScale,
+) {
+    let z_of = row[columns.clone()]
+        .iter()
+        .zip(&z.mean[columns.clone()])
+        .zip(&z.by[columns]);
+    for (out, ((x, mean), by)) in out.iter_mut().zip(z_of) {
+        *out += ((z.op)(x - mean, *by) - scale.mean) * scale.factor;
     }
 }
