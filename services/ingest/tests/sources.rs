@@ -1,7 +1,7 @@
 //! Recordings of every kind, good and bad, through the public interface.
 #![allow(clippy::unwrap_used)] // helpers of tests are not seen as tests
 
-use evpr_core::plan::{OnBadEvent, Pace, Sensor, Source, TimeUnit};
+use evpr_core::plan::{Sensor, Source, TimeUnit};
 use evpr_ingest::{RawEvent, RecordingInfo, SourceError, SourceInfo, info, open, probe};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -242,7 +242,10 @@ fn what_text_says_of_itself() {
 fn bad_lines_are_named_and_what_is_before_them_is_kept() {
     let start = "# x\n0.1 1 2 1\n0.2 3 4 0\n";
     for (line, wanted) in [
-        ("nan 1 2 1", "line 4: the time \"nan\" is not a decimal number; correct the line or leave it out"),
+        (
+            "nan 1 2 1",
+            "line 4: the time \"nan\" is not a decimal number; correct the line or leave it out",
+        ),
         ("-0.5 1 2 1", "line 4: the time \"-0.5\" is negative"),
         (
             "1e20 1 2 1",
@@ -299,7 +302,10 @@ fn bad_starts_are_named() {
             "0 260\n0.1 1 2 1\n",
             "line 1: \"0\" is not a side of a sensor; a line of two numbers is its width and height, 1 to 65535",
         ),
-        ("nan 1 2 1\n", "line 1: the time \"nan\" is not a decimal number; correct the line or leave it out"),
+        (
+            "nan 1 2 1\n",
+            "line 1: the time \"nan\" is not a decimal number; correct the line or leave it out",
+        ),
         (
             "hello\n",
             "line 1: the header \"hello\" has no column t; name it t or timestamp or timestamps or ts or time",

@@ -1,8 +1,9 @@
-//! Recordings: one file per format, and the registry that finds the right one.
+//! Recordings: one file per format, and the registry that finds the right one; and the simulated street.
 
 mod decimal;
 mod hdf5;
 mod lines;
+mod street;
 mod text;
 
 use crate::{RawEvent, SourceError};
@@ -140,22 +141,27 @@ static UNREADABLE: [(&[u8], &str); 9] = [
 /// # Errors
 /// One line, when it does not exist, cannot be read, is empty or of no known format, or holds no events.
 pub fn open(source: &Source) -> Result<Box<dyn Recording>, SourceError> {
-    if source.kind != "file" {
-        return Err(SourceError::Setup(format!(
-            "source.kind \"{}\" is not known; this build reads \"file\"",
-            source.kind
-        )));
+    match (source.kind.as_str(), &source.street) {
+        ("file", _) => open_path(&source.path, source.time_unit),
+        ("street", Some(street)) => Ok(Box::new(street::Street::new(street, &source.path))),
+        (kind, _) => Err(SourceError::Setup(format!(
+            "source.kind \"{kind}\" is not known, or incomplete; this build reads \"file\" and \"street\""
+        ))),
     }
-    open_path(&source.path, source.time_unit)
 }
 
 /// Asks a recording for the size of its sensor: the HDF5 attributes `height` and `width` of `/events`, or a first
-/// line `width height` in text. `None` when it does not say: then the configuration must.
+/// line `width height` in text. `None` when it does not say: then the configuration must. A street has the sensor that it
+/// was given.
 ///
 /// # Errors
 /// As [`open`].
 pub fn probe(source: &Source) -> Result<Option<Sensor>, SourceError> {
-    Ok(open(source)?.sensor())
+    match &source.street {
+        // Without building it.
+        Some(street) => Ok(Some(street.sensor)),
+        None => Ok(open(source)?.sensor()),
+    }
 }
 
 /// Opens a recording by its path. `time_unit` counts for text only.

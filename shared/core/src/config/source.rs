@@ -145,7 +145,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
         key(
             "length_m",
             "number from 20 to 5000",
-            Some("600.0"),
+            Some("400.0"),
             "Length of the drive, metres.",
         ),
         default.length_m,
@@ -155,7 +155,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
         key(
             "speed_m_s",
             "number from 1 to 40",
-            Some("8.0"),
+            Some("5.0"),
             "Speed of the pass \"day\", metres per second; the others go at 0.9 times of it, with variation.",
         ),
         default.speed_m_s,

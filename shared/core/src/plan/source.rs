@@ -72,8 +72,8 @@ impl Default for Street {
         Self {
             pass: StreetPass::Day,
             seed: 1,
-            length_m: 600.0,
-            speed_m_s: 8.0,
+            length_m: 400.0,
+            speed_m_s: 5.0,
             step_ns: 4_000_000,
             sensor: Sensor {
                 height: 120,
