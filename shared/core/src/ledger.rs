@@ -199,10 +199,10 @@ impl<T> Ledger<T> {
                 };
                 self.last_opened = Some(info.clone());
                 match self.entry(header.tick) {
-                    Ok(pending) if pending.info.is_some() => Arrival::Duplicate,
                     Ok(pending) => {
-                        pending.info = Some(info);
-                        Arrival::Accepted
+                        // Ingest went back: the members that it says now are the ones that rows will come of.
+                        let known = pending.info.replace(info).is_some();
+                        if known { Arrival::Duplicate } else { Arrival::Accepted }
                     }
                     Err(arrival) => arrival,
                 }
@@ -562,6 +562,21 @@ mod tests {
         }
         assert_eq!(row(&mut l, 0, 0, 1, 1), Arrival::Duplicate);
         assert_eq!(tick(&mut l, 0, TickKind::Open), Arrival::Duplicate);
+    }
+
+    #[test]
+    fn a_member_switched_off_while_ingest_goes_back_is_not_waited_for() {
+        let mut l = ledger(Delivery::Lossless);
+        tick(&mut l, 0, TickKind::Open);
+        row(&mut l, 0, 1, 1, 1);
+        let again = TickHeader {
+            members: [1].into_iter().collect(),
+            epoch: 2,
+            ..TickHeader::default()
+        };
+        assert_eq!(l.tick(&again, &[1.0, 2.0]), Arrival::Duplicate);
+        tick(&mut l, 0, TickKind::Close);
+        assert!(l.settle(0).unwrap().ends[0].is_none());
     }
 
     #[test]
