@@ -81,7 +81,7 @@ pub(crate) enum DeliveryArg {
 pub(crate) struct GraphRunArgs {
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// The recording, instead of the configuration's
+    /// The recording (or the pass of the simulated street), instead of the configuration's
     #[arg(short, long, value_name = "FILE")]
     pub(crate) input: Option<PathBuf>,
     /// "unpaced", "realtime" or how many times as fast as recorded, instead of the configuration's
@@ -283,7 +283,7 @@ pub(crate) struct MemberWeightArgs {
 pub(crate) struct GraphArgs {
     #[command(flatten)]
     pub(crate) config: ConfigArgs,
-    /// The recording, instead of the configuration's
+    /// The recording (or the pass of the simulated street), instead of the configuration's
     #[arg(short, long, value_name = "FILE")]
     pub(crate) input: Option<PathBuf>,
     /// As JSON
