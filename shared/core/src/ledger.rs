@@ -202,7 +202,11 @@ impl<T> Ledger<T> {
                     Ok(pending) => {
                         // Ingest went back: the members that it says now are the ones that rows will come of.
                         let known = pending.info.replace(info).is_some();
-                        if known { Arrival::Duplicate } else { Arrival::Accepted }
+                        if known {
+                            Arrival::Duplicate
+                        } else {
+                            Arrival::Accepted
+                        }
                     }
                     Err(arrival) => arrival,
                 }
