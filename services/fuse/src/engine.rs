@@ -176,7 +176,7 @@ impl Engine {
     }
 }
 
-/// Checks that map and plan fit, so that everything after this may index freely.
+/// Checks that map and plan fit, so that everything after this may index freely, and reads the map through.
 fn check(plan: &Plan, map: &Map) -> Result<(), FuseError> {
     if plan.members.len() > MAX_MEMBERS {
         return Err(FuseError::TooManyMembers {
@@ -203,6 +203,12 @@ fn check(plan: &Plan, map: &Map) -> Result<(), FuseError> {
         if !member.valid.contains(&true) {
             return Err(FuseError::NoRows {
                 member: named.name.clone(),
+            });
+        }
+        if let Some(reference) = member.first_not_finite() {
+            return Err(FuseError::NotFinite {
+                member: named.name.clone(),
+                reference,
             });
         }
     }

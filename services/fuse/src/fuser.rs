@@ -70,6 +70,9 @@ impl Fuser {
     /// A fuser whose first tick is `first_tick`. Ticks below `answer_from` only build history and are not
     /// answered: a restarted fuser goes back L − 1 ticks and then goes on as if it had never been away.
     ///
+    /// Reads the rows of the map through once: that finds values that are not finite, and spares the first query the
+    /// reading from disk.
+    ///
     /// # Errors
     /// Map and plan do not fit: see [`FuseError`].
     pub fn new(

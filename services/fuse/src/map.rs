@@ -3,8 +3,12 @@
 use crate::FuseError;
 use evpr_core::Plan;
 use evpr_store::{MemberRows, Traverse};
+use rayon::prelude::*;
 use std::path::Path;
 use std::sync::Arc;
+
+/// Values that a thread reads through at a time: 256 KiB.
+const READ_VALUES: usize = 1 << 16;
 
 /// Where rows come from: a memory-mapped traverse, or plain memory in tests.
 pub trait Rows: Send + Sync {
@@ -53,6 +57,16 @@ impl MapMember {
             .flatten()
     }
 
+    /// Reads all rows that are there, once, and gives the first tick whose row holds a value that is not finite.
+    ///
+    /// On a memory-mapped traverse this brings the rows into memory, as far as they have room there: the first query
+    /// need not wait for the disk. The rows must have passed [`MapMember::check`].
+    pub(crate) fn first_not_finite(&self) -> Option<usize> {
+        let rows = self.rows.values().par_chunks(self.dim).zip(&self.valid);
+        rows.with_min_len((READ_VALUES / self.dim).max(1))
+            .position_first(|(row, valid)| *valid && !row.iter().fold(true, |ok, v| ok & v.is_finite()))
+    }
+
     /// Checks that there are `ticks` rows and flags, so that everything after this may index freely.
     pub(crate) fn check(&self, name: &str, ticks: usize) -> Result<(), FuseError> {
         let values = self.rows.values().len();
@@ -93,7 +107,8 @@ pub struct Map {
 }
 
 impl Map {
-    /// Opens the plan's map: its rows are memory-mapped, not read.
+    /// Opens the plan's map: its rows are memory-mapped, not read. [`Fuser::new`](crate::Fuser::new) reads them through
+    /// once; a map may be larger than the memory, and is then read from the disk as queries need it.
     ///
     /// # Errors
     /// [`FuseError::NoMap`]; [`FuseError::Store`] when the traverse cannot be opened, or was made by other parameters

@@ -18,6 +18,10 @@ pub(crate) trait Kernel {
 /// Runs `kernel`, compiled for AVX2 where the processor has it.
 #[inline]
 pub(crate) fn run_widest(kernel: impl Kernel) {
+    #[cfg(test)]
+    if tests::BASELINE.get() {
+        return kernel.run();
+    }
     #[cfg(target_arch = "x86_64")]
     if std::arch::is_x86_feature_detected!("avx2") {
         // SAFETY: `run_avx2` asks for nothing but a processor with AVX2, which has just been found. It takes no
@@ -31,4 +35,39 @@ pub(crate) fn run_widest(kernel: impl Kernel) {
 #[target_feature(enable = "avx2")]
 fn run_avx2(kernel: impl Kernel) {
     kernel.run();
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    thread_local! {
+        pub(super) static BASELINE: Cell<bool> = const { Cell::new(false) };
+    }
+
+    /// Does `work` with the baseline's vectors, as far as this thread does it.
+    pub(crate) fn with_baseline<R>(work: impl FnOnce() -> R) -> R {
+        BASELINE.set(true);
+        let result = work();
+        BASELINE.set(false);
+        result
+    }
+
+    struct Count<'a>(&'a mut usize);
+
+    impl Kernel for Count<'_> {
+        fn run(self) {
+            *self.0 += 1;
+        }
+    }
+
+    #[test]
+    fn a_kernel_runs_once_either_way() {
+        let mut runs = 0;
+        run_widest(Count(&mut runs));
+        assert_eq!(runs, 1);
+        with_baseline(|| run_widest(Count(&mut runs)));
+        assert_eq!(runs, 2);
+    }
 }

@@ -384,6 +384,25 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn the_width_of_the_vectors_changes_nothing(
+            dim in 1usize..1500, references in 1usize..8, holes in any::<u8>(), seed in 0usize..1000,
+        ) {
+            let value = |i: usize| ((i + seed) as f32 * 0.618).fract() - 0.4;
+            let rows: Vec<f32> = (0..references * dim).map(value).collect();
+            let query: Vec<f32> = (0..dim).map(|i| value(i * 7 + 3)).collect();
+            let valid: Vec<bool> = (0..references).map(|j| holes >> j & 1 == 0).collect();
+            for kind in KINDS {
+                let score = || {
+                    let mut out = vec![0.0; references];
+                    similarity(kind, &query, &rows, &valid, &mut out);
+                    out.iter().map(|s| s.to_bits()).collect::<Vec<_>>()
+                };
+                prop_assert_eq!(score(), crate::simd::tests::with_baseline(score), "{:?}", kind);
+            }
+        }
+
         #[test]
         fn within_1e_5_of_exact_also_for_nearly_identical_rows(
             dim in 1usize..3000, seed in any::<u32>(), step in prop::sample::select(vec![1.0f32, 1e-3, 1e-6]),

@@ -395,18 +395,70 @@ fn map_and_plan_must_fit() {
 }
 
 #[test]
-fn a_map_row_that_is_not_finite_is_fatal_and_named() {
+fn a_map_row_that_is_not_finite_is_refused_and_named() {
     let plan = plan(&[2], 1);
-    let rows = vec![0.0, 1.0, f32::NAN, 0.0];
-    let map = Map {
-        references: 2,
-        positions: vec![],
-        members: vec![MapMember::new(rows, 2, vec![true, true])],
-    };
-    let mut fuser = fuser(&plan, map, 0, 0);
-    open(&mut fuser, 0, all(&plan), &[1.0]).unwrap();
-    let error = fuser.descriptor(&row_header(0, 0), &[1.0, 1.0]).unwrap_err();
-    assert!(matches!(&error, StageError::Fatal(t) if t.contains("a@1ms/x0") && t.contains("reference 1")));
+    for (value, there, refused) in [
+        (f32::NAN, true, true),
+        (f32::NEG_INFINITY, true, true),
+        (f32::NAN, false, false),
+        (f32::MAX, true, false),
+    ] {
+        let map = Map {
+            references: 3,
+            positions: vec![],
+            members: vec![MapMember::new(
+                vec![0.0, 1.0, value, 0.0, 1.0, 1.0],
+                2,
+                vec![true, there, true],
+            )],
+        };
+        let result = Fuser::new(&plan, map, 0, 0, Box::new(|| 0));
+        assert_eq!(result.is_err(), refused, "{value}, there: {there}");
+        if let Err(error) = result {
+            assert!(matches!(&error, FuseError::NotFinite { member, reference: 1 } if member == "a@1ms/x0"));
+        }
+    }
+}
+
+/// E, S̃ and the answers of a few ticks, computed by so many threads.
+fn by_threads(threads: usize, plan: &Plan, map: &Map) -> (Vec<Vec<u64>>, Vec<i64>) {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .unwrap();
+    pool.install(|| {
+        let mut fuser = fuser(plan, map.clone(), 0, 0);
+        let seen = Arc::new(Mutex::new(Vec::new()));
+        let sink = Arc::clone(&seen);
+        let bits = |values: &[f64]| values.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        fuser.observe(Box::new(move |tick| {
+            let mut seen = sink.lock().unwrap();
+            seen.push(bits(tick.fused));
+            seen.extend(tick.members.iter().map(|m| bits(m.scores)));
+        }));
+        for tick in 0..8 {
+            let row = |m: usize| Some(noise(tick * 2 + m, map.members[m].dim));
+            feed(&mut fuser, tick as u64, all(plan), &[1.0, 0.5], &[row(0), row(1)]);
+        }
+        let answers = settle(&mut fuser)
+            .messages
+            .iter()
+            .map(|(h, _)| h.reference)
+            .collect();
+        (std::mem::take(&mut *seen.lock().unwrap()), answers)
+    })
+}
+
+#[test]
+fn the_number_of_threads_changes_not_a_bit() {
+    // Large enough for similarity and matching to be shared out.
+    let plan = plan(&[64, 5], 6);
+    let map = map(&plan, 6000, |m, j| (j + m) % 9 != 4);
+    let alone = by_threads(1, &plan, &map);
+    assert_eq!((alone.0.len(), alone.1.len()), (24, 8));
+    for threads in [2, 3, 5] {
+        assert_eq!(by_threads(threads, &plan, &map), alone, "{threads} threads");
+    }
 }
 
 /// Who is on, weights, rows.

@@ -92,6 +92,32 @@ fn whole_matrices_up_to_5000_references() {
 }
 
 #[test]
+fn places_that_change_alike() {
+    if !can_run("places_that_change_alike") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    for (references, length) in [(3000, 2), (3000, 3), (1000, 10)] {
+        // From steps as large as the places' own changes to steps that leave nothing else to see.
+        for step in [1.0, 10.0, 100.0, 1e3, 1e5] {
+            let mut s = similarities(16, references);
+            for (t, mut row) in s.rows_mut().into_iter().enumerate() {
+                let common = step * f64::from(noise(t, 1)[0]);
+                row.mapv_inplace(|v| v + common);
+            }
+            by_numpy(folder.path(), &s, &[true; 16], &vec![true; references], length);
+            let whole: ArrayD<f64> = read_npy(folder.path().join("whole.npy")).unwrap();
+            let got = sequence_match(s.view(), length, SequenceMethod::Paper).into_dyn();
+            assert_close(
+                &got,
+                &whole,
+                &format!("R = {references}, L = {length}, step {step}"),
+            );
+        }
+    }
+}
+
+#[test]
 fn holes_up_to_5000_references() {
     if !can_run("holes_up_to_5000_references") {
         return;

@@ -86,7 +86,7 @@ impl Columns {
             .zip(self.inverse.par_chunks_mut(BLOCK))
             .zip(self.moments.par_chunks_mut(n))
             .enumerate();
-        let most = if window.is_large() { 8 } else { usize::MAX };
+        let most = if window.is_large() { 4 } else { usize::MAX };
         blocks
             .with_min_len(most)
             .for_each(|(index, (((mean, scale), inverse), moments))| {

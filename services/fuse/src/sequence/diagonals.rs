@@ -19,7 +19,7 @@ pub(super) fn add<F: Fn(f64, f64) -> f64 + Copy + Sync>(
     scales: &[RowScale],
     out: &mut [f64],
 ) {
-    let least = if window.is_large() { 2 } else { usize::MAX };
+    let least = if window.is_large() { 1 } else { usize::MAX };
     let blocks = out.par_chunks_mut(BLOCK).enumerate().with_min_len(least);
     blocks.for_each(|(index, out)| {
         run_widest(Block {

@@ -30,7 +30,7 @@ use runs::Runs;
 /// Added to standard deviations, as in the authors' code.
 const EPSILON: f64 = 1e-8;
 /// From so many values in the window on, work is shared out among threads.
-const PARALLEL_VALUES: usize = 1 << 15;
+const PARALLEL_VALUES: usize = 1 << 14;
 
 /// The rows of a window, oldest first, over the columns that the map has a row for.
 #[derive(Debug, Clone, Copy)]
@@ -231,4 +231,106 @@ pub fn sequence_match(similarity: ArrayView2<'_, f64>, length: usize, method: Se
         to.iter_mut().zip(&out).for_each(|(t, s)| *t = *s);
     }
     scores
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::tests::with_baseline;
+    use proptest::prelude::*;
+
+    /// A matcher that was shown `ticks` rows: noise, and per tick a step that all places take.
+    fn matcher(references: usize, ticks: usize, step: f64) -> SequenceMatcher {
+        let valid: Vec<bool> = (0..references).map(|j| j % 7 != 5).collect();
+        let mut matcher = SequenceMatcher::new(SequenceMethod::Paper, ticks, &valid);
+        let noise = |i: usize| ((i * 7919 + 17) as f64).sin() * 43_758.545_3 % 1.0;
+        for t in 0..ticks {
+            let row: Vec<f64> = (0..references)
+                .map(|j| noise(t * references + j) + step * (t * t % 5) as f64)
+                .collect();
+            matcher.push(Some(&row));
+        }
+        matcher
+    }
+
+    fn scores(matcher: &mut SequenceMatcher) -> Vec<f64> {
+        let mut out = vec![0.0; matcher.references];
+        assert!(matcher.score(&mut out));
+        out
+    }
+
+    /// The same with NumPy's sums, whatever the moments say.
+    fn scores_in_numpy_order(matcher: &mut SequenceMatcher) -> Vec<f64> {
+        scores(matcher);
+        let window = Window {
+            ring: &matcher.ring,
+            columns: matcher.runs.columns(),
+            ticks: &matcher.ticks,
+        };
+        let mut scales = vec![RowScale::default(); window.len()];
+        let mut out = vec![0.0; matcher.references];
+        numpy_order::row_scales(window, matcher.columns.by_quotient(), &mut scales);
+        diagonals::add(
+            window,
+            &matcher.runs,
+            matcher.columns.by_quotient(),
+            &scales,
+            &mut out,
+        );
+        out
+    }
+
+    fn moments_can_tell(matcher: &mut SequenceMatcher) -> bool {
+        scores(matcher);
+        let window = Window {
+            ring: &matcher.ring,
+            columns: matcher.runs.columns(),
+            ticks: &matcher.ticks,
+        };
+        let mut scales = vec![RowScale::default(); window.len()];
+        matcher.columns.row_scales(window, &mut scales)
+    }
+
+    #[test]
+    fn numpy_order_is_for_places_that_change_alike() {
+        for (step, can_tell) in [(0.0, true), (1.0, true), (5.0, true), (1e4, false), (1e9, false)] {
+            let mut matcher = matcher(3000, 10, step);
+            assert_eq!(moments_can_tell(&mut matcher), can_tell, "step {step}");
+            if !can_tell {
+                assert_eq!(scores(&mut matcher), scores_in_numpy_order(&mut matcher));
+            }
+        }
+    }
+
+    #[test]
+    fn a_single_tick_needs_no_numpy_order() {
+        let mut first = SequenceMatcher::new(SequenceMethod::Paper, 4, &[true; 300]);
+        first.push(Some(&vec![0.7; 300]));
+        assert!(moments_can_tell(&mut first));
+        assert!(scores(&mut first).iter().all(|s| *s == 0.0));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        #[test]
+        fn both_orders_agree_where_moments_can_tell(
+            references in 2usize..2000, ticks in 2usize..12, step in 0.0f64..30.0,
+        ) {
+            let mut matcher = matcher(references, ticks, step);
+            prop_assume!(moments_can_tell(&mut matcher));
+            let (got, want) = (scores(&mut matcher), scores_in_numpy_order(&mut matcher));
+            for (g, w) in got.iter().zip(&want) {
+                prop_assert!((g - w).abs() <= 1e-10 * w.abs().max(1.0), "{} {}", g, w);
+            }
+        }
+
+        #[test]
+        fn the_width_of_the_vectors_changes_nothing(references in 1usize..1000, ticks in 1usize..12) {
+            prop_assume!(references * ticks < PARALLEL_VALUES);
+            let mut matcher = matcher(references, ticks, 0.3);
+            let wide = scores(&mut matcher);
+            prop_assert_eq!(wide, with_baseline(|| scores(&mut matcher)));
+        }
+    }
 }
