@@ -1,8 +1,9 @@
 //! kill -9 of each kind of process in the middle of a run, in lossless and in latest delivery.
 
-use super::support::{Bench, Running, TICKS, assert_ticks, reasons, text};
+use super::support::{Bench, Running, Said, TICKS, assert_ticks, read_answers, reasons, text, timeless};
 use nix::sys::signal::Signal;
 use serde_json::Value;
+use std::path::Path;
 
 /// Ticks of 20 ms on the wall: time for a process to come back before the recording ends.
 const PACE: &str = "5";
@@ -254,4 +255,151 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
     assert!(again.stderr.contains("earlier run"), "{}", again.stderr);
     assert_ticks(&super::support::read_answers(&out), TICKS);
     assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+/// Windows that reach back over the ticks before, in a recording of the same kind.
+fn long_window_config(bench: &Bench) -> std::path::PathBuf {
+    bench.file(
+        "long.toml",
+        "[sensor]\nheight = 48\nwidth = 64\n\
+         [slicing]\ntick = \"100ms\"\nwindows = [\"100ms\", \"350ms\"]\nalign = \"end\"\norigin = 0\n\
+         [[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n\
+         [[extractor]]\nid = \"raw_pixels\"\n[fuse]\nsequence = { method = \"paper\", length = 5 }\n",
+    )
+}
+
+/// Runs `config` over the query, disturbed while it runs, and gives the answers.
+fn disturbed(
+    bench: &Bench,
+    config: &Path,
+    map: &Path,
+    pace: &str,
+    disturb: impl FnOnce(&mut Running),
+) -> (Vec<Value>, Said) {
+    let query = bench.path("query.txt");
+    let args = ["run", "-q", "-c", text(config), "-i", text(&query), "-m", text(map), "--pace", pace];
+    let mut running = Running::start(bench, &args);
+    disturb(&mut running);
+    let (answers, said) = running.finish();
+    assert_eq!(bench.left_behind(), Vec::<String>::new());
+    (answers, said)
+}
+
+fn undisturbed(bench: &Bench, config: &Path, map: &Path) -> Vec<Value> {
+    let out = bench.path("undisturbed.jsonl");
+    let query = bench.path("query.txt");
+    let said =
+        bench.run(&["run", "-q", "-c", text(config), "-i", text(&query), "-m", text(map), "-o", text(&out)]);
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    read_answers(&out)
+}
+
+fn kill(running: &Running, kind: &str) {
+    for pid in running.services(kind) {
+        Running::signal(pid, Signal::SIGKILL);
+    }
+}
+
+#[test]
+fn windows_that_reach_back_survive_the_death_of_ingest_and_of_the_fuser() {
+    let bench = Bench::new();
+    let config = long_window_config(&bench);
+    let map = bench.map(&config);
+    bench.recording("query.txt", 150, 2);
+    let (answers, said) = disturbed(&bench, &config, &map, PACE, |running| {
+        for (at, kind) in [(40, "ingest"), (80, "fuse")] {
+            assert!(running.read_to(at));
+            kill(running, kind);
+        }
+    });
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    let wanted = undisturbed(&bench, &config, &map);
+    assert_eq!(answers.len(), wanted.len());
+    for (a, b) in answers.iter().zip(&wanted) {
+        assert_eq!(timeless(a), timeless(b));
+    }
+}
+
+#[test]
+fn a_fuser_that_dies_after_a_stage_died_answers_as_if_nothing_had_been() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    bench.recording("query.txt", 200, 2);
+    let (answers, said) = disturbed(&bench, &config, &map, PACE, |running| {
+        for (at, kind) in [(20, "extract"), (110, "fuse"), (140, "fuse")] {
+            assert!(running.read_to(at));
+            kill(running, kind);
+        }
+    });
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    let wanted = undisturbed(&bench, &config, &map);
+    let last_missing = answers.iter().rposition(|a| !complete(a)).unwrap();
+    assert!(last_missing < 100, "the extractors came back too late to tell: {last_missing}");
+    for (a, b) in answers.iter().zip(&wanted).skip(last_missing + 5) {
+        assert_eq!(timeless(a), timeless(b));
+    }
+}
+
+#[test]
+fn a_member_switched_off_while_ingest_is_away_holds_up_nobody() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    bench.recording("query.txt", 200, 2);
+    let member = "event_count@50ms/patch_norm";
+    let mut from = 0;
+    let (answers, said) = disturbed(&bench, &config, &map, PACE, |running| {
+        assert!(running.read_to(40));
+        // Twice, so that it is in back-off when the member goes.
+        for _ in 0..2 {
+            while running.services("ingest").is_empty() {
+                std::thread::yield_now();
+            }
+            kill(running, "ingest");
+        }
+        let said = bench.run(&["member", "disable", "--json", member]);
+        let reply: Value = serde_json::from_str(&said.stdout).unwrap();
+        from = reply["from_tick"].as_u64().unwrap();
+    });
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert_ticks(&answers, 200);
+    for answer in &answers {
+        let used = answer["members"].as_array().unwrap().iter().any(|m| m == member);
+        assert_eq!(used, answer["tick"].as_u64().unwrap() < from, "from {from}: {answer}");
+        assert!(complete(answer), "{answer}");
+    }
+}
+
+#[test]
+fn an_ingest_that_somebody_else_stops_fails_the_run() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    bench.recording("query.txt", TICKS, 2);
+    let (answers, said) = disturbed(&bench, &config, &map, PACE, |running| {
+        assert!(running.read_to(20));
+        Running::signal(running.services("ingest")[0], Signal::SIGTERM);
+    });
+    assert_eq!(said.code(), 1);
+    assert_eq!(said.errors().len(), 1, "{}", said.stderr);
+    assert!(said.stderr.contains("by somebody else"), "{}", said.stderr);
+    assert_ticks(&answers, answers.len() as u64);
+}
+
+#[test]
+fn ctrl_c_while_the_fuser_is_away_still_answers_what_was_under_way() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    bench.recording("query.txt", TICKS, 2);
+    let (answers, said) = disturbed(&bench, &config, &map, PACE, |running| {
+        assert!(running.read_to(40));
+        kill(running, "fuse");
+        Running::signal(running.pid(), Signal::SIGINT);
+    });
+    assert_eq!(said.code(), 130, "{}", said.stderr);
+    assert_eq!(said.errors(), Vec::<&str>::new());
+    assert_ticks(&answers, answers.len() as u64);
+    assert!(answers.iter().all(complete));
 }

@@ -26,6 +26,8 @@ impl Args {
         match &self.command {
             Command::Run(args) => args.graph.quiet,
             Command::Map(MapCommand::Build(args)) => args.graph.quiet,
+            // It says itself what it does.
+            Command::Demo(_) => true,
             _ => false,
         }
     }
@@ -34,6 +36,8 @@ impl Args {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    /// Show it all on a simulated street: map it by day, recognise it by day and night, write a report
+    Demo(DemoArgs),
     /// Start the graph: events in, place matches out, one JSON line per tick
     Run(RunArgs),
     /// Reference maps: build, look at, check, repair
@@ -58,6 +62,25 @@ pub(crate) enum Command {
     /// One process of a running graph; started by `evpr run`
     #[command(hide = true)]
     Service(ServiceArgs),
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct DemoArgs {
+    /// Where to write the report (a new folder, or an earlier report, which is replaced)
+    #[arg(short, long, value_name = "DIR", default_value = "demo-report")]
+    pub(crate) out: PathBuf,
+    /// What the street is drawn from
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u32,
+    /// No progress, only the results
+    #[arg(short, long)]
+    pub(crate) quiet: bool,
+    /// The results as JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// A short street and a small sensor: for tests
+    #[arg(long, hide = true)]
+    pub(crate) quick: bool,
 }
 
 #[derive(Debug, Parser)]
@@ -328,6 +351,9 @@ pub(crate) struct ServiceArgs {
     /// The first tick to answer
     #[arg(long)]
     pub(crate) answer_from: u64,
+    /// The tick at which the stream ends at the latest
+    #[arg(long)]
+    pub(crate) end_tick: Option<u64>,
     /// What the service is, for a person who looks at the process list
     #[arg(value_name = "KIND")]
     pub(crate) kind: String,

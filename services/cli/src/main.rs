@@ -5,6 +5,7 @@
 mod args;
 mod catalog;
 mod commands;
+mod demo;
 mod failure;
 mod frames_npy;
 mod matches;

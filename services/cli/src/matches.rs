@@ -97,24 +97,34 @@ fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> M
 /// Writes matches to a file or to stdout.
 pub(crate) struct MatchWriter {
     name: String,
-    sink: Box<dyn Write>,
+    sink: Sink,
+}
+
+enum Sink {
+    Stdout(io::Stdout),
+    File(BufWriter<File>),
 }
 
 impl MatchWriter {
-    /// A new file, or stdout.
-    pub(crate) fn create(path: Option<&Path>) -> Result<Self, String> {
-        match path {
-            None => Ok(Self {
-                name: "stdout".to_owned(),
-                sink: Box::new(io::stdout()),
-            }),
-            Some(path) => {
-                let file = File::create(path).map_err(|e| format!("cannot write {}: {e}", path.display()))?;
-                Ok(Self {
-                    name: path.display().to_string(),
-                    sink: Box::new(BufWriter::new(file)),
-                })
+    /// Opens a file, or stdout. What the file holds stays until [`MatchWriter::begin`]: a run that does not start
+    /// destroys nothing.
+    pub(crate) fn open(path: Option<&Path>) -> Result<Self, String> {
+        let Some(path) = path else {
+            return Ok(Self { name: "stdout".to_owned(), sink: Sink::Stdout(io::stdout()) });
+        };
+        let file = File::options().create(true).truncate(false).write(true).open(path);
+        let file = file.map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+        Ok(Self { name: path.display().to_string(), sink: Sink::File(BufWriter::new(file)) })
+    }
+
+    /// Empties the file, as the run begins.
+    pub(crate) fn begin(&mut self) -> Result<(), String> {
+        match &self.sink {
+            // Pipes and devices cannot be emptied and need not be.
+            Sink::File(file) if file.get_ref().metadata().is_ok_and(|m| m.is_file()) => {
+                file.get_ref().set_len(0).map_err(|e| format!("cannot write {}: {e}", self.name))
             }
+            _ => Ok(()),
         }
     }
 
@@ -128,9 +138,10 @@ impl MatchWriter {
         let failed = |e: &dyn std::fmt::Display| format!("cannot write matches to {}: {e}", self.name);
         let mut text = serde_json::to_string(&line(plan, header, candidates)).map_err(|e| failed(&e))?;
         text.push('\n');
-        self.sink
-            .write_all(text.as_bytes())
-            .and_then(|()| self.sink.flush())
-            .map_err(|e| failed(&e))
+        let sink: &mut dyn Write = match &mut self.sink {
+            Sink::Stdout(stdout) => stdout,
+            Sink::File(file) => file,
+        };
+        sink.write_all(text.as_bytes()).and_then(|()| sink.flush()).map_err(|e| failed(&e))
     }
 }

@@ -36,7 +36,7 @@ impl IngestPort for Nowhere {
         Ok(())
     }
 
-    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
         None
     }
 

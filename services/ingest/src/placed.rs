@@ -37,8 +37,8 @@ impl IngestPort for Placed<'_> {
         self.port.tick(header, weights)
     }
 
-    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
-        self.port.control()
+    fn control(&mut self, tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+        self.port.control(tick)
     }
 
     fn wait_until(&mut self, ns: u64) -> Result<(), StageError> {

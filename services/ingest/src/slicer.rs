@@ -406,7 +406,7 @@ impl Slicer {
         if self.tick_opened {
             return Ok(());
         }
-        if let Some((version, settings)) = port.control() {
+        if let Some((version, settings)) = port.control(self.tick) {
             self.control_version = version;
             for (member, setting) in settings.iter().enumerate().take(self.weights.len()) {
                 self.members.set(member, setting.enabled != 0);

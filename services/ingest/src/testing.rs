@@ -127,7 +127,7 @@ impl IngestPort for KeptPort {
         Ok(())
     }
 
-    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
         self.control.pop_front().flatten()
     }
 

@@ -7,7 +7,7 @@
 //! the dead, and whatever still comes of theirs in time counts.
 
 use crate::member::{End, MemberSet, Reason};
-use crate::message::{DescriptorHeader, Life, ServiceState, TickHeader, TickKind};
+use crate::message::{DescriptorHeader, Life, ServiceHealth, ServiceState, TickHeader, TickKind};
 use crate::plan::{Delivery, Plan, SliceMode};
 use std::collections::VecDeque;
 
@@ -112,6 +112,8 @@ pub struct Ledger<T> {
     /// Per member: the services its rows pass through (reconstruct, extract).
     services: Vec<(usize, usize)>,
     dead_through: Vec<u32>,
+    /// Whether the supervisor's word has been heard: the first is where everybody stands.
+    informed: bool,
     lossless: bool,
     deadline_ns: u64,
     tick_us: Option<u64>,
@@ -144,6 +146,7 @@ impl<T> Ledger<T> {
             ],
             services,
             dead_through: vec![0; plan.services().len()],
+            informed: false,
             lossless: plan.delivery == Delivery::Lossless,
             deadline_ns: plan.deadline_ns,
             tick_us: (plan.slicing.mode == SliceMode::Time).then_some(plan.slicing.tick / 1_000),
@@ -283,9 +286,11 @@ impl<T> Ledger<T> {
         for (service, state) in states.iter().enumerate().take(self.dead_through.len()) {
             if state.dead_through > self.dead_through[service] {
                 self.dead_through[service] = state.dead_through;
-                fallen[service] = true;
+                // To a sink that joins late, whoever died before and is back has always been there.
+                fallen[service] = self.informed || state.health != ServiceHealth::Up as u32;
             }
         }
+        self.informed = true;
         for (expect, (reconstruct, extract)) in self.expect.iter_mut().zip(&self.services) {
             if fallen.get(*extract).copied().unwrap_or(false) {
                 *expect = Expect::Down(Reason::ExtractDown);
@@ -473,6 +478,7 @@ mod tests {
     fn dead(l: &mut Ledger<u32>, service: usize, through: u32) {
         let mut states = vec![ServiceState::default(); 4];
         states[service].dead_through = through;
+        states[service].health = ServiceHealth::Restarting as u32;
         l.lifecycle(&states);
     }
 
@@ -555,6 +561,28 @@ mod tests {
         tick(&mut l, 1, TickKind::Open);
         tick(&mut l, 1, TickKind::Close);
         assert_eq!(l.settle(u64::MAX), None, "both are waited for");
+    }
+
+    #[test]
+    fn to_a_sink_that_joins_late_the_returned_have_always_been_there() {
+        let mut l = ledger(Delivery::Lossless);
+        let back = ServiceState {
+            incarnation: 2,
+            dead_through: 1,
+            ..ServiceState::default()
+        };
+        l.lifecycle(&[
+            ServiceState::default(),
+            back,
+            ServiceState::default(),
+            ServiceState::default(),
+        ]);
+        tick(&mut l, 0, TickKind::Open);
+        tick(&mut l, 0, TickKind::Close);
+        row(&mut l, 0, 1, 1, 1);
+        assert_eq!(l.settle(u64::MAX), None, "member 0 is waited for");
+        dead(&mut l, 1, 2);
+        assert_eq!(reasons(&l.settle(0).unwrap()), [Some(R), None]);
     }
 
     #[test]

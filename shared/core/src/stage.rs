@@ -169,9 +169,10 @@ pub trait IngestPort {
     /// As [`IngestPort::chunk`].
     fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError>;
 
-    /// The newest wanted member settings with their version, if they changed since the last call. Asked at every
-    /// opening of a tick, so it must be quick.
-    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)>;
+    /// The member settings that hold from this tick on, with their version, if they differ from those of the last call.
+    /// Asked at every opening of a tick, so it must be quick. Ticks that are opened a second time (ingest went back)
+    /// get the settings that they had.
+    fn control(&mut self, tick: u64) -> Option<(u64, Vec<MemberSetting>)>;
 
     /// Waits until the host monotonic time `ns`.
     ///

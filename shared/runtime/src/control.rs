@@ -74,6 +74,15 @@ pub(crate) struct Asked {
     pub(crate) reply: Sender<ControlReply>,
 }
 
+impl Asked {
+    /// Sends the client away: the run is ending.
+    pub(crate) fn refuse(self) {
+        let _ = self
+            .reply
+            .send(ControlReply::refusal("the instance is stopping".to_owned()));
+    }
+}
+
 /// Takes requests on a thread of its own and hands them to the supervisor's loop.
 #[derive(Debug)]
 pub(crate) struct ControlServer {
@@ -119,6 +128,9 @@ impl ControlServer {
 impl Drop for ControlServer {
     fn drop(&mut self) {
         self.closing.store(true, Ordering::Release);
+        while let Ok(asked) = self.requests.try_recv() {
+            asked.refuse();
+        }
         // The accept loop looks at the flag when somebody knocks.
         let knocked = UnixStream::connect(&self.path).is_ok();
         if let (true, Some(thread)) = (knocked, self.thread.take()) {

@@ -32,7 +32,16 @@ pub struct RunSpec {
     pub plan: Plan,
 }
 
-/// Member settings in force, for an ingest that starts in the middle of a run.
+/// Which settings hold from which tick on, for an ingest that starts in the middle of a run.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub(crate) struct Schedule {
+    /// (first tick, settings), ascending.
+    pub(crate) entries: Vec<(u64, Settings)>,
+    /// Ticks below this have been opened: changes that come now are not for them.
+    pub(crate) opened_before: u64,
+}
+
+/// What the members of the plan shall be.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Settings {
     pub(crate) version: u64,
@@ -193,18 +202,17 @@ impl RunFolder {
             .map_err(|e| RuntimeError::Folder(format!("cannot understand {}: {e}", path.display())))
     }
 
-    pub(crate) fn write_settings(&self, settings: &Settings) -> Result<(), RuntimeError> {
-        let text = serde_json::to_string(settings).map_err(|e| RuntimeError::Folder(e.to_string()))?;
+    pub(crate) fn write_schedule(&self, schedule: &Schedule) -> Result<(), RuntimeError> {
+        let text = serde_json::to_string(schedule).map_err(|e| RuntimeError::Folder(e.to_string()))?;
         write_atomically(&self.path.join("settings.json"), &text)
     }
 
-    pub(crate) fn read_settings(&self) -> Result<Option<Settings>, RuntimeError> {
+    pub(crate) fn read_schedule(&self) -> Result<Schedule, RuntimeError> {
         let path = self.path.join("settings.json");
         match fs::read_to_string(&path) {
             Ok(text) => serde_json::from_str(&text)
-                .map(Some)
                 .map_err(|e| RuntimeError::Folder(format!("cannot understand {}: {e}", path.display()))),
-            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(Schedule::default()),
             Err(e) => Err(io_error("cannot read", &path, &e)),
         }
     }

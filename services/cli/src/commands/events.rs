@@ -227,7 +227,7 @@ impl IngestPort for Chain<'_> {
         Ok(())
     }
 
-    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
         None
     }
 

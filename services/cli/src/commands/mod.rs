@@ -1,11 +1,12 @@
 //! One file per command.
 
+mod demo;
 mod doctor;
 mod events;
 mod graph;
 mod map;
 mod member;
-mod run;
+pub(crate) mod run;
 mod sequence_match;
 mod service;
 
@@ -18,6 +19,7 @@ use std::process::ExitCode;
 /// Does what was asked.
 pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
     match command {
+        Command::Demo(args) => demo::demo(&args),
         Command::Run(args) => run::run(&args),
         Command::Map(command) => map::map(command),
         Command::Events(command) => events::events(command),

@@ -18,7 +18,7 @@ use std::process::{Command, ExitCode, Stdio};
 use tracing::warn;
 
 /// Ctrl-C.
-const EXIT_INTERRUPTED: u8 = 130;
+pub(crate) const EXIT_INTERRUPTED: u8 = 130;
 
 /// `evpr run`.
 pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
@@ -37,7 +37,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         evpr_store::Traverse::open(map)?.check_against(&plan)?;
     }
     let writer = match &plan.map {
-        Some(_) => Some(MatchWriter::create(args.out.as_deref()).map_err(Failure::new)?),
+        Some(_) => Some(MatchWriter::open(args.out.as_deref()).map_err(Failure::new)?),
         None => None,
     };
     supervise(plan, writer, args.graph.quiet, "matching")
@@ -65,6 +65,10 @@ struct CliHooks {
 }
 
 impl Hooks for CliHooks {
+    fn begin(&mut self) -> Result<(), String> {
+        self.writer.as_mut().map_or(Ok(()), MatchWriter::begin)
+    }
+
     fn answer(&mut self, header: &MatchHeader, candidates: &[Candidate]) -> Result<(), String> {
         match &mut self.writer {
             Some(writer) => writer.write(&self.plan, header, candidates),
@@ -77,36 +81,41 @@ impl Hooks for CliHooks {
     }
 }
 
-/// Runs a plan to its end.
+/// Runs a plan to its end, with a progress bar, and says what came of it.
 pub(crate) fn supervise(
     plan: Plan,
     writer: Option<MatchWriter>,
     quiet: bool,
     what: &str,
 ) -> Result<ExitCode, Failure> {
-    let folder = RunFolder::of_instance(&plan.name);
-    let executable = std::env::current_exe()?;
-    let run_folder = folder.path().to_owned();
-    let command = move |service: &Service, spawn: &Spawn| {
-        let mut command = service_command(&executable, &run_folder, service, spawn);
-        if quiet && std::env::var_os(LOG_VARIABLE).is_none() {
-            command.env(LOG_VARIABLE, QUIET_LOG);
-        }
-        command
-    };
-    let supervisor = Supervisor::new(plan.clone(), folder, Box::new(command))?;
     let mut hooks = CliHooks {
-        plan,
+        plan: plan.clone(),
         writer,
         bar: progress::bar(quiet, what),
     };
-    let summary = supervisor.run(&mut hooks);
+    let summary = run_graph(&plan, quiet, &mut hooks);
     hooks.bar.finish_and_clear();
     let summary = summary?;
     if !quiet {
         summarise(&summary);
     }
-    conclude(&hooks.plan, summary)
+    conclude(&plan, summary)
+}
+
+/// Runs the processes of a plan until all have ended. With `quiet_logs` they log only what is degraded or wrong.
+pub(crate) fn run_graph(plan: &Plan, quiet_logs: bool, hooks: &mut dyn Hooks) -> Result<RunSummary, Failure> {
+    let folder = RunFolder::of_instance(&plan.name);
+    let executable = std::env::current_exe()?;
+    let run_folder = folder.path().to_owned();
+    let command = move |service: &Service, spawn: &Spawn| {
+        let mut command = service_command(&executable, &run_folder, service, spawn);
+        if quiet_logs && std::env::var_os(LOG_VARIABLE).is_none() {
+            command.env(LOG_VARIABLE, QUIET_LOG);
+        }
+        command
+    };
+    let supervisor = Supervisor::new(plan.clone(), folder, Box::new(command))?;
+    Ok(supervisor.run(hooks)?)
 }
 
 /// What the run's end means for who started it.
@@ -152,6 +161,9 @@ fn service_command(executable: &Path, run_folder: &Path, service: &Service, spaw
         ("--answer-from", spawn.answer_from.to_string()),
     ] {
         command.args([name, &value]);
+    }
+    if let Some(tick) = spawn.end_tick {
+        command.args(["--end-tick", &tick.to_string()]);
     }
     // A process group of its own: Ctrl-C reaches the supervisor alone, which ends the graph upstream first.
     command

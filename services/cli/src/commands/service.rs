@@ -20,7 +20,7 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
         ServiceKind::Ingest => {
             let ingest =
                 evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
-            run_ingest(ctx, |port| ingest.run(port).map(|_| ()))?;
+            run_ingest(ctx, args.end_tick, |port| ingest.run(port).map(|_| ()))?;
         }
         ServiceKind::Reconstruct => {
             let mut stage = evpr_reconstruct::build(&plan, index)?;

@@ -16,6 +16,8 @@ pub enum ServicePhase {
     Ready = 1,
     /// Has nothing more to do (ingest: the end is sent; sinks: the last tick is done).
     Done = 2,
+    /// Ingest: as [`ServicePhase::Done`], but because it was asked to stop.
+    Stopped = 3,
 }
 
 const SUB_BITS: u32 = 3;

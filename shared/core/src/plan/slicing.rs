@@ -108,6 +108,13 @@ impl SegmentPlan {
         self.windows.iter().map(|w| w.last).max().unwrap_or(0)
     }
 
+    /// How many ticks before its own the windows reach back into.
+    pub fn look_back_ticks(&self) -> u64 {
+        let before = |w: &WindowSpan| w.len.saturating_sub(w.last + 1);
+        let segments = self.windows.iter().map(before).max().unwrap_or(0);
+        segments.div_ceil(self.per_tick().max(1)) as u64
+    }
+
     /// How many segments the longest window has.
     pub fn longest(&self) -> usize {
         self.windows.iter().map(|w| w.len).max().unwrap_or(0)
@@ -228,5 +235,6 @@ mod tests {
         assert_eq!(spans, [(2, 1), (2, 3), (2, 8)]);
         assert_eq!(p.needed, [true, true, true]);
         assert_eq!(p.closes(2), 0b111);
+        assert_eq!(p.look_back_ticks(), 2);
     }
 }

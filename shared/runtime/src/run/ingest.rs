@@ -4,7 +4,7 @@ use super::ServiceContext;
 use crate::RuntimeError;
 use crate::channel::{ChannelReceiver, ChannelSender};
 use crate::clock::now_ns;
-use crate::domain::Settings;
+use crate::domain::Schedule;
 use crate::telemetry::HEARTBEAT;
 use crate::wait::{Waiter, wait_set};
 use evpr_core::message::{
@@ -20,11 +20,15 @@ struct Port {
     chunks: ChannelSender<Chunks>,
     ticks: ChannelSender<Ticks>,
     control: ChannelReceiver<Control>,
-    /// Settings that were in force before this process was started, until they are asked for.
-    inherited: Option<Settings>,
+    /// What held when this process was started.
+    inherited: Schedule,
+    /// The newest settings that came since, until a tick opens for which they can hold.
+    came: Option<(u64, Vec<MemberSetting>)>,
     version: u64,
     /// The end of the stream, once it is said.
     end: Option<TickHeader>,
+    /// The tick at which the stream ends, whatever the source still has.
+    end_tick: Option<u64>,
 }
 
 impl IngestPort for Port {
@@ -48,18 +52,31 @@ impl IngestPort for Port {
     }
 
     fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError> {
-        if header.kind == TickKind::End as u32 {
+        let ends = header.kind == TickKind::End as u32;
+        if self.end.is_some() {
+            return if ends { Ok(()) } else { Err(StageError::Stopped) };
+        }
+        if let Some(tick) = self.end_tick.filter(|end| header.tick >= *end && !ends) {
+            let end = TickHeader {
+                tick,
+                kind: TickKind::End as u32,
+                ..header
+            };
+            self.end = Some(end);
+            self.ticks.emit(end, 0, &mut |_| {})?;
+            return Err(StageError::Stopped);
+        }
+        if ends {
             self.end = Some(header);
         }
         self.ticks
             .emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
     }
 
-    fn control(&mut self) -> Option<(u64, Vec<MemberSetting>)> {
-        let mut newest = self.inherited.take().map(|s| (s.version, s.messages()));
+    fn control(&mut self, tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
         loop {
             match self.control.receive() {
-                Ok(Some(message)) => newest = Some((message.header().version, message.payload().to_vec())),
+                Ok(Some(message)) => self.came = Some((message.header().version, message.payload().to_vec())),
                 Ok(None) => break,
                 Err(e) => {
                     warn!("member settings cannot be received: {e}");
@@ -67,6 +84,17 @@ impl IngestPort for Port {
                 }
             }
         }
+        let old = self.inherited.entries.iter().rfind(|(from, _)| *from <= tick);
+        let old = old.map(|(_, settings)| (settings.version, settings.messages()));
+        let new = if tick >= self.inherited.opened_before {
+            self.came.take()
+        } else {
+            None
+        };
+        let newest = [old, new]
+            .into_iter()
+            .flatten()
+            .max_by_key(|(version, _)| *version);
         let (version, settings) = newest.filter(|(version, _)| *version > self.version)?;
         self.version = version;
         Some((version, settings))
@@ -103,34 +131,43 @@ impl IngestPort for Port {
     }
 }
 
-/// Runs ingest: `work` is given the port and returns when its stream has ended, the end included. The process then
+/// Runs ingest: `work` is given the port and returns when its stream has ended, the end included; with `end_tick` the
+/// stream ends there at the latest. The process then
 /// stays until it is asked to stop, so that what it sent can still be read.
 ///
 /// # Errors
 /// When shared memory fails or `work` does.
 pub fn run_ingest(
     ctx: ServiceContext,
+    end_tick: Option<u64>,
     work: impl FnOnce(&mut dyn IngestPort) -> Result<(), StageError>,
 ) -> Result<(), RuntimeError> {
     // The end is sent even after a first request to stop: only a second one gives up waiting for room.
     let chunks = ctx.sender(&Topic::Events, 2)?;
     let ticks = ctx.sender(&Topic::Ticks, 2)?;
     let control = ctx.receiver(&Topic::Control)?;
-    let inherited = ctx.folder.read_settings()?;
+    let inherited = ctx.folder.read_schedule()?;
     let mut port = Port {
         ctx,
         chunks,
         ticks,
         control,
         inherited,
+        came: None,
         version: 0,
         end: None,
+        end_tick,
     };
     port.ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!("ready");
     let outcome = work(&mut port);
     let stopped_by = port.ctx.stop.count();
-    port.ctx.telemetry.phase(ServicePhase::Done)?;
+    let phase = if stopped_by > 0 {
+        ServicePhase::Stopped
+    } else {
+        ServicePhase::Done
+    };
+    port.ctx.telemetry.phase(phase)?;
     let (set, wake) = (wait_set()?, port.ctx.wake.clone());
     let waiter = Waiter::new(&set, vec![&wake])?;
     // A failed source has sent its end too; what came before it is answered before the failure is reported.

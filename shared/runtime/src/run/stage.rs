@@ -44,6 +44,8 @@ struct Loop<'a, S: Stage> {
     sender: ChannelSender<S::Out>,
     ticks: Option<ChannelReceiver<Ticks>>,
     drop: TickDrop,
+    /// Messages of ticks that were dropped whole.
+    dropped: u64,
     warnings: RateLimit,
 }
 
@@ -70,7 +72,7 @@ impl<S: Stage> Loop<'_, S> {
         self.sender.started_ns = started;
         let dropped = self.ticks.is_some() && self.drop.drops(header.tick(), message.gap);
         let outcome = if dropped {
-            stats.dropped += 1;
+            self.dropped += 1;
             self.stage.skip_dropped(header, &mut self.sender)
         } else {
             self.stage.process(header, message.payload(), &mut self.sender)
@@ -117,6 +119,7 @@ pub fn run_stage<S: Stage>(
         sender,
         ticks,
         drop: TickDrop::default(),
+        dropped: 0,
         warnings: RateLimit::default(),
     };
     ctx.telemetry.phase(ServicePhase::Ready)?;
@@ -145,6 +148,7 @@ pub fn run_stage<S: Stage>(
             }
             let stats = &mut ctx.telemetry.stats;
             stats.refused = receivers.iter().map(ChannelReceiver::refused).sum();
+            stats.dropped = state.dropped + receivers.iter().map(ChannelReceiver::lost).sum::<u64>();
             ctx.telemetry.beat()?;
         }
         if ctx.stop.requested() {

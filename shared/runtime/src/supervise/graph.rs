@@ -32,6 +32,8 @@ const ROUND: Duration = Duration::from_millis(250);
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time that a process has to end after SIGTERM.
 const EXIT_TIMEOUT: Duration = Duration::from_secs(10);
+/// A process that says nothing for so long is worth a warning. They speak up a few times per second.
+const SILENCE: Duration = Duration::from_secs(5);
 /// The supervisor's own number in stamps.
 const SUPERVISOR: u32 = u32::MAX;
 
@@ -92,6 +94,14 @@ pub type CommandLine = Box<dyn Fn(&Service, &Spawn) -> Command>;
 
 /// What the caller hears while the graph runs.
 pub trait Hooks {
+    /// The instance is ours and nothing has started yet: the time to prepare outputs.
+    ///
+    /// # Errors
+    /// One line; the run then does not start.
+    fn begin(&mut self) -> Result<(), String> {
+        Ok(())
+    }
+
     /// One answer, in order of ticks, each tick once.
     ///
     /// # Errors
@@ -125,6 +135,10 @@ pub struct Supervisor {
     state: State,
     epoch: u32,
     next_answer: u64,
+    /// The first tick that ingest has never opened.
+    next_open: u64,
+    /// Where ingest has said that the stream ends.
+    end_tick: Option<u64>,
     answers: u64,
     failed: bool,
     failure: Option<String>,
@@ -248,6 +262,8 @@ impl Supervisor {
             state: State::Starting,
             epoch: 0,
             next_answer: 0,
+            next_open: 0,
+            end_tick: None,
             answers: 0,
             failed: false,
             failure: None,
@@ -270,7 +286,10 @@ impl Supervisor {
     /// # Errors
     /// When shared memory fails or a process cannot be started; everything is taken down then too.
     pub fn run(mut self, hooks: &mut dyn Hooks) -> Result<RunSummary, RuntimeError> {
-        let outcome = self.supervise(hooks);
+        let outcome = hooks
+            .begin()
+            .map_err(RuntimeError::Folder)
+            .and_then(|()| self.supervise(hooks));
         if outcome.is_err() {
             for process in &self.processes {
                 process.signal(Signal::SIGKILL);
@@ -283,6 +302,7 @@ impl Supervisor {
             }
         }
         self.clean_up_nodes();
+        self.members.dismiss();
         let services = self.processes.iter().map(|p| ServiceReport {
             name: p.service.name.clone(),
             kind: p.service.kind,
@@ -333,7 +353,17 @@ impl Supervisor {
             self.take_requests()?;
             self.advance();
         }
+        let unasked = !self.failed && !self.stop.requested();
         self.take_down(hooks)?;
+        let mut ingest = self
+            .processes
+            .iter()
+            .filter(|p| p.service.kind == ServiceKind::Ingest);
+        if unasked && ingest.any(|p| p.stats.phase == ServicePhase::Stopped as u32) {
+            self.fail(
+                "ingest was told to stop by somebody else; the run ended with the ticks so far".to_owned(),
+            );
+        }
         Ok(
             match (self.failed, self.stop.requested(), self.stop.interrupted()) {
                 (true, _, _) => Outcome::Failed,
@@ -370,8 +400,13 @@ impl Supervisor {
         self.take_answers(hooks)?;
         while let Some(message) = self.ports.ticks.receive()? {
             let header = message.header();
-            if header.kind == TickKind::Open as u32 {
-                self.members.opened(header.tick, header.control_version);
+            match TickKind::from_code(header.kind) {
+                Some(TickKind::Open) => {
+                    self.next_open = self.next_open.max(header.tick + 1);
+                    self.members.opened(header.tick, header.control_version);
+                }
+                Some(TickKind::End) => self.end_tick = Some(header.tick),
+                _ => {}
             }
         }
         let mut heard = false;
@@ -387,6 +422,10 @@ impl Supervisor {
             }
             let was_ready = process.in_phase(ServicePhase::Ready);
             process.stats = stats;
+            process.heard_at = Instant::now();
+            if std::mem::take(&mut process.silent) {
+                info!("{} is heard again", process.service.name);
+            }
             if !was_ready && process.in_phase(ServicePhase::Ready) {
                 self.became_ready(index)?;
             }
@@ -437,10 +476,9 @@ impl Supervisor {
     fn became_ready(&mut self, index: usize) -> Result<(), RuntimeError> {
         let process = &mut self.processes[index];
         process.health = ServiceHealth::Up;
-        if process.incarnation > 1 && !process.sent_back {
+        if std::mem::take(&mut process.died) {
             info!("{} is back", process.service.name);
         }
-        process.sent_back = false;
         let (sink, kind, again) = (process.is_sink(), process.service.kind, process.incarnation > 1);
         if sink {
             self.publish_lifecycle()?;
@@ -448,7 +486,8 @@ impl Supervisor {
         if kind == ServiceKind::Ingest {
             self.publish_control()?;
         }
-        if sink && again && self.plan.delivery == Delivery::Lossless && self.state == State::Running {
+        let under_way = matches!(self.state, State::Running | State::Draining { .. });
+        if sink && again && self.plan.delivery == Delivery::Lossless && under_way {
             self.send_ingest_back();
         }
         Ok(())
@@ -477,12 +516,20 @@ impl Supervisor {
             .iter_mut()
             .find(|p| p.service.kind == ServiceKind::Ingest)
         {
-            ingest.sent_back = true;
-            match &ingest.child {
-                Some(_) => ingest.signal(Signal::SIGKILL),
-                None => ingest.start_at = Some(Instant::now()),
+            if ingest.child.is_some() {
+                ingest.sent_back = true;
+                ingest.signal(Signal::SIGKILL);
+            } else {
+                ingest.start_at = Some(Instant::now());
             }
         }
+    }
+
+    /// The run cannot go on, for this reason.
+    fn fail(&mut self, line: String) {
+        self.failure.get_or_insert(line);
+        self.failed = true;
+        self.state = State::Stopping;
     }
 
     fn reap(&mut self) -> Vec<(usize, Exit, String)> {
@@ -509,15 +556,27 @@ impl Supervisor {
             return Ok(());
         }
         let draining = matches!(self.state, State::Draining { .. });
-        if draining && exit == Exit::Clean && self.processes[index].service.kind == ServiceKind::Ingest {
+        let process = &mut self.processes[index];
+        if process.is_done() && process.is_sink() {
+            process.finished = true;
+            return Ok(());
+        }
+        if exit == Exit::Clean && process.service.kind == ServiceKind::Ingest && draining {
             return Ok(()); // it was asked to
         }
+        let name = process.service.name.clone();
+        if exit == Exit::Clean && process.is_essential() {
+            self.fail(format!(
+                "{name} was told to stop by somebody else; the run ends with what it has"
+            ));
+            return Ok(());
+        }
         let now = Instant::now();
-        let process = &mut self.processes[index];
         process.dead_through = process.incarnation;
         process.health = ServiceHealth::Restarting;
-        let name = process.service.name.clone();
-        let wait = if process.sent_back {
+        let sent_back = std::mem::take(&mut process.sent_back);
+        process.died |= !sent_back;
+        let wait = if sent_back {
             Some(Duration::ZERO)
         } else {
             process.backoff(now)
@@ -525,7 +584,7 @@ impl Supervisor {
         match wait {
             Some(wait) => {
                 process.start_at = Some(now + wait);
-                if !process.sent_back {
+                if !sent_back {
                     process.restarts += 1;
                     warn!(
                         "{name} died ({status}); starting it again in {} ms",
@@ -534,11 +593,9 @@ impl Supervisor {
                 }
             }
             None if process.is_essential() => {
-                self.failure = Some(format!(
+                self.fail(format!(
                     "{name} died too often ({status}); without it the run cannot go on"
                 ));
-                self.failed = true;
-                self.state = State::Stopping;
             }
             None => {
                 process.health = ServiceHealth::Down;
@@ -569,12 +626,18 @@ impl Supervisor {
         let first_tick = match self.processes[index].service.kind {
             ServiceKind::Ingest => {
                 self.epoch += 1;
-                needed
+                let first = needed.saturating_sub(self.plan.slicing.segments().look_back_ticks());
+                self.folder.write_schedule(&self.members.schedule(first))?;
+                first
             }
             _ => self.next_answer.saturating_sub(history),
         };
+        let draining = matches!(self.state, State::Draining { .. });
+        let end_tick = draining.then(|| self.end_tick.unwrap_or(self.next_open));
         let process = &mut self.processes[index];
         process.start_at = None;
+        process.heard_at = Instant::now();
+        process.silent = false;
         process.incarnation += 1;
         let spawn = Spawn {
             service: index,
@@ -582,6 +645,7 @@ impl Supervisor {
             epoch: self.epoch,
             first_tick,
             answer_from: self.next_answer,
+            end_tick,
         };
         let child = (self.command)(&process.service, &spawn).spawn();
         let child = child
@@ -595,6 +659,16 @@ impl Supervisor {
             self.clean_up_nodes();
         }
         self.members.expire(Instant::now());
+        for process in &mut self.processes {
+            if process.child.is_some() && !process.silent && process.heard_at.elapsed() > SILENCE {
+                process.silent = true;
+                warn!(
+                    "{} has not been heard of for {} s",
+                    process.service.name,
+                    SILENCE.as_secs()
+                );
+            }
+        }
     }
 
     /// Removes what dead processes left in shared memory, which also frees whoever waits for room with them.
@@ -634,7 +708,6 @@ impl Supervisor {
         while let Ok(asked) = self.control.requests.try_recv() {
             info!("asked to: {:?}", asked.request);
             if self.members.handle(asked, Instant::now()) {
-                self.folder.write_settings(&self.members.settings)?;
                 self.publish_control()?;
             }
         }
@@ -651,7 +724,7 @@ impl Supervisor {
             .processes
             .iter()
             .filter(|p| p.is_sink())
-            .all(|p| p.in_phase(ServicePhase::Done));
+            .all(Process::is_done);
         match self.state {
             State::Starting if self.stop.requested() => self.state = State::Stopping,
             State::Starting => {
@@ -673,22 +746,19 @@ impl Supervisor {
                     .processes
                     .iter()
                     .find(|p| p.service.kind == ServiceKind::Ingest);
-                match ingest.filter(|p| p.in_phase(ServicePhase::Ready)) {
-                    Some(ingest) => {
-                        ingest.signal(Signal::SIGTERM);
-                        self.state = State::Draining {
-                            since: Instant::now(),
-                        };
-                    }
-                    None => self.state = State::Stopping,
+                // An ingest that is being started again is told then where to end.
+                if let Some(ingest) = ingest {
+                    ingest.signal(Signal::SIGTERM);
                 }
+                self.state = State::Draining {
+                    since: Instant::now(),
+                };
             }
             State::Draining { since } if since.elapsed() > DRAIN_TIMEOUT => {
-                warn!(
-                    "what was under way did not finish within {} s",
-                    DRAIN_TIMEOUT.as_secs()
-                );
-                self.state = State::Stopping;
+                let seconds = DRAIN_TIMEOUT.as_secs();
+                self.fail(format!(
+                    "the ticks under way did not finish within {seconds} s and are left out"
+                ));
             }
             _ => {}
         }
@@ -720,6 +790,10 @@ impl Supervisor {
             let mut killed = false;
             loop {
                 self.hear(hooks)?;
+                self.members.dismiss();
+                while let Ok(asked) = self.control.requests.try_recv() {
+                    asked.refuse();
+                }
                 for (index, exit, status) in self.reap() {
                     self.failed |= exit == Exit::Failed;
                     if exit == Exit::Died && !killed {

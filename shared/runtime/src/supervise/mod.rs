@@ -4,7 +4,8 @@
 //! What happens at a death:
 //! - Its node is cleaned up, which frees whoever waited for room with it.
 //! - Its incarnation is declared dead (the tombstone), so that no sink waits for it. It is restarted with back-off.
-//! - Lossless: when ingest died it goes on at the first tick that a sink still needs. When a sink died, ingest is
+//! - Lossless: when ingest died it goes on at the first tick that a sink still needs (earlier by as much as windows reach
+//!   back), and opens each tick with the members that it had. When a sink died, ingest is
 //!   sent back to the tick that the new one needs; the other sink sees those ticks again and ignores them.
 //! - A process that dies too often is given up. Reconstructions and extractors are then missing from the ensemble;
 //!   without ingest or a sink there is no run, and it ends.
@@ -28,4 +29,6 @@ pub struct Spawn {
     pub first_tick: u64,
     /// Fuse: the first tick to answer.
     pub answer_from: u64,
+    /// Ingest: the tick at which the stream ends, when the run is ending already.
+    pub end_tick: Option<u64>,
 }

@@ -39,8 +39,15 @@ pub(super) struct Process {
     pub(super) restarts: u64,
     /// When to start it (again).
     pub(super) start_at: Option<Instant>,
-    /// The supervisor killed it to make it go back; that is no fault of its own.
+    /// The supervisor kills it to make it go back; that is no fault of its own. Until it is reaped.
     pub(super) sent_back: bool,
+    /// It has died since it was last ready.
+    pub(super) died: bool,
+    /// A sink that had done all it had to do before it died: it is not needed again.
+    pub(super) finished: bool,
+    /// When it was last heard of, and whether its silence has been reported.
+    pub(super) heard_at: Instant,
+    pub(super) silent: bool,
     deaths: VecDeque<Instant>,
 }
 
@@ -56,6 +63,10 @@ impl Process {
             restarts: 0,
             start_at: None,
             sent_back: false,
+            died: false,
+            finished: false,
+            heard_at: Instant::now(),
+            silent: false,
             deaths: VecDeque::new(),
         }
     }
@@ -73,6 +84,11 @@ impl Process {
         self.child.is_some()
             && self.stats.stamp.incarnation == self.incarnation
             && self.stats.phase >= phase as u32
+    }
+
+    /// A sink that has nothing more to do.
+    pub(super) fn is_done(&self) -> bool {
+        self.finished || self.in_phase(ServicePhase::Done)
     }
 
     pub(super) fn state(&self) -> ServiceState {

@@ -1,0 +1,243 @@
+//! What the methods see: their frames of one window of one tick, made in this process by ingest and the
+//! reconstructions themselves.
+
+use super::recall::Truth;
+use crate::failure::Failure;
+use evpr_core::Plan;
+use evpr_core::message::{
+    ChannelOrder, ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader,
+};
+use evpr_core::plan::{Sensor, StreetPass};
+use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
+use evpr_runtime::Stop;
+
+/// A frame.
+#[derive(Debug, Clone)]
+pub(crate) struct Frame {
+    pub(crate) order: ChannelOrder,
+    /// `height × width × channels`, row-major, channels interleaved.
+    pub(crate) pixels: Vec<u8>,
+}
+
+/// What all methods see of one place on several drives.
+#[derive(Debug)]
+pub(crate) struct Place {
+    pub(crate) sensor: Sensor,
+    /// Ids of the reconstructions.
+    pub(crate) methods: Vec<String>,
+    /// Length of the window, such as `250ms`.
+    pub(crate) window: String,
+    pub(crate) seen: Vec<Seen>,
+}
+
+/// A place on one drive.
+#[derive(Debug)]
+pub(crate) struct Seen {
+    pub(crate) pass: StreetPass,
+    pub(crate) tick: u64,
+    /// Where the camera was at the start of the tick, metres along the street.
+    pub(crate) along_m: f64,
+    /// Per method; `None` where the window had no events.
+    pub(crate) frames: Vec<Option<Frame>>,
+}
+
+/// Looks at the place of the map that the drives of `queries`, each with its plan and truth, come nearest to at the
+/// start of a tick; `mapping` is the plan of the drive that was mapped. The place lies in the first third of the street,
+/// as the street cannot be entered in its middle.
+///
+/// # Errors
+/// When there is no such place, or a drive cannot be simulated.
+pub(crate) fn look(mapping: &Plan, queries: &[(StreetPass, &Plan, &Truth)]) -> Result<Place, Failure> {
+    let truths: Vec<&Truth> = queries.iter().map(|(_, _, truth)| *truth).collect();
+    let place = common_place(&truths).ok_or_else(|| Failure::new("the drives have no place in common"))?;
+    let window = mapping.slicing.windows.len().saturating_sub(1).min(1);
+    let mut drives = vec![(StreetPass::Day, mapping, place.reference)];
+    drives.extend(queries.iter().zip(&place.queries).map(|((pass, plan, _), tick)| (*pass, *plan, *tick)));
+    let frames: Result<Vec<_>, Failure> = std::thread::scope(|scope| {
+        // Threads of their own: the simulation needs rayon's, which must not wait for it.
+        let start = |(_, plan, tick): &(StreetPass, &Plan, usize)| {
+            let (plan, tick) = ((*plan).clone(), *tick as u64);
+            scope.spawn(move || at(&plan, tick, window))
+        };
+        let threads: Vec<_> = drives.iter().map(start).collect();
+        let joined = threads.into_iter().map(std::thread::ScopedJoinHandle::join);
+        joined.map(|frames| frames.unwrap_or_else(|_| Err(Failure::new("making frames panicked")))).collect()
+    });
+    let seen = drives.iter().zip(frames?).zip(place.along_m);
+    Ok(Place {
+        sensor: mapping.sensor,
+        methods: mapping.reconstructions.iter().map(|r| r.id.clone()).collect(),
+        window: mapping.slicing.window_id(window),
+        seen: seen
+            .map(|(((pass, _, tick), frames), along_m)| Seen {
+                pass: *pass,
+                tick: *tick as u64,
+                along_m,
+                frames,
+            })
+            .collect(),
+    })
+}
+
+/// A place that several drives come by.
+struct CommonPlace {
+    reference: usize,
+    queries: Vec<usize>,
+    /// Metres along the street of the reference and of each query.
+    along_m: Vec<f64>,
+}
+
+/// The reference, not at the very start, that all queries come nearest to.
+fn common_place(truths: &[&Truth]) -> Option<CommonPlace> {
+    let references = &truths.first()?.references;
+    let nearest = |reference: usize| {
+        let at = references[reference];
+        let near = truths.iter().map(|truth| truth.nearest_query(at));
+        let near: Option<Vec<(usize, f64)>> = near.collect();
+        near.map(|near| (reference, near))
+    };
+    let far = |near: &[(usize, f64)]| near.iter().map(|(_, distance_m)| distance_m).sum::<f64>();
+    let (reference, near) = (references.len() / 8..references.len().div_ceil(3))
+        .filter_map(nearest)
+        .min_by(|a, b| far(&a.1).total_cmp(&far(&b.1)))?;
+    let queries: Vec<usize> = near.into_iter().map(|(query, _)| query).collect();
+    let of_queries = queries.iter().zip(truths).map(|(query, truth)| truth.queries[*query][0]);
+    Some(CommonPlace {
+        along_m: std::iter::once(references[reference][0]).chain(of_queries).collect(),
+        reference,
+        queries,
+    })
+}
+
+/// The frames of one tick.
+struct Collect {
+    tick: u64,
+    window: u32,
+    /// Per reconstruction: not there yet, or what came of the window (`None`: it had no events).
+    found: Vec<Option<Option<Frame>>>,
+}
+
+impl Collect {
+    fn complete(&self) -> bool {
+        self.found.iter().all(Option::is_some)
+    }
+}
+
+impl Outlet<Frames> for Collect {
+    fn emit(
+        &mut self,
+        header: FrameHeader,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [u8]),
+    ) -> Result<(), StageError> {
+        if header.tick != self.tick || header.window != self.window {
+            return Ok(());
+        }
+        let Some(found) = self.found.get_mut(header.reconstruction as usize) else {
+            return Ok(());
+        };
+        let order = ChannelOrder::from_code(header.channel_order).filter(|_| header.reason == 0);
+        *found = Some(order.map(|order| {
+            let mut pixels = vec![0; len];
+            fill(&mut pixels);
+            Frame { order, pixels }
+        }));
+        Ok(())
+    }
+}
+
+/// Ingest and all reconstructions, chained.
+struct Chain {
+    stages: Vec<evpr_reconstruct::Reconstruct>,
+    events: Vec<Event>,
+    seq: u64,
+    collect: Collect,
+    stop: Stop,
+}
+
+impl IngestPort for Chain {
+    fn now_ns(&self) -> u64 {
+        evpr_runtime::now_ns()
+    }
+
+    fn chunk(
+        &mut self,
+        mut header: ChunkHeader,
+        len: usize,
+        fill: &mut dyn FnMut(&mut [Event]),
+    ) -> Result<(), StageError> {
+        self.events.clear();
+        self.events.resize(len, Event::default());
+        fill(&mut self.events);
+        header.stamp.seq = self.seq;
+        self.seq += 1;
+        for stage in &mut self.stages {
+            stage.process(&header, &self.events, &mut self.collect)?;
+        }
+        if self.collect.complete() {
+            self.stop.raise();
+            return Err(StageError::Stopped);
+        }
+        Ok(())
+    }
+
+    fn tick(&mut self, _header: TickHeader, _weights: &[f64]) -> Result<(), StageError> {
+        Ok(())
+    }
+
+    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+        None
+    }
+
+    fn wait_until(&mut self, _ns: u64) -> Result<(), StageError> {
+        Ok(())
+    }
+
+    fn progress(&mut self, _permille: u64, _next_tick: u64, _events: u64, _skipped: u64) {}
+}
+
+/// The frames of this window and tick of the plan's source, one per reconstruction of the plan; `None` where the window
+/// had no events or the source ends before.
+///
+/// # Errors
+/// When the source cannot be read.
+fn at(plan: &Plan, tick: u64, window: usize) -> Result<Vec<Option<Frame>>, Failure> {
+    let reconstructions = plan.reconstructions.len();
+    let stages = (0..reconstructions).map(|r| evpr_reconstruct::build(plan, r));
+    let stop = Stop::new();
+    let mut chain = Chain {
+        stages: stages.collect::<Result<_, _>>()?,
+        events: Vec::new(),
+        seq: 0,
+        collect: Collect {
+            tick,
+            window: window as u32,
+            found: vec![None; reconstructions],
+        },
+        stop: stop.clone(),
+    };
+    evpr_ingest::Ingest::new(plan, 0, 1, stop.signal().clone())?.run(&mut chain)?;
+    Ok(chain.collect.found.into_iter().map(Option::flatten).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_common_place_is_the_nearest_of_all_drives() {
+        let along = |metres: &[f64]| metres.iter().map(|m| [*m, 0.0]).collect::<Vec<_>>();
+        let references = along(&[0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0]);
+        let truth = |queries: &[f64]| Truth {
+            references: references.clone(),
+            queries: along(queries),
+        };
+        // 0 m fits best, but is the very start; 30 m and more are beyond the first third.
+        let (a, b) = (truth(&[0.0, 7.0, 19.0, 30.0]), truth(&[0.0, 14.0, 20.5, 30.0]));
+        let place = common_place(&[&a, &b]).unwrap();
+        assert_eq!((place.reference, place.queries), (2, vec![2, 2]));
+        assert_eq!(place.along_m, [20.0, 19.0, 20.5]);
+        assert!(common_place(&[]).is_none());
+        assert!(common_place(&[&truth(&[])]).is_none());
+    }
+}
