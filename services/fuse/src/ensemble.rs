@@ -2,6 +2,11 @@
 
 use evpr_core::message::Candidate;
 
+/// References that are passed over at once where none of them is among the best.
+const BLOCK: usize = 64;
+/// Scores looked at side by side.
+const LANES: usize = 8;
+
 /// What one member brings to a tick.
 #[derive(Debug, Clone, Copy)]
 pub struct Part<'a> {
@@ -94,52 +99,91 @@ impl Ensemble {
         &self.candidates
     }
 
-    fn eligible_scores(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
-        let scores = self.fused.iter().copied().enumerate();
-        scores
-            .zip(&self.eligible)
-            .filter(|(_, eligible)| **eligible)
-            .map(|(score, _)| score)
-    }
-
     fn rank(&mut self) {
         let mut best = std::mem::take(&mut self.candidates);
-        for (reference, score) in self.eligible_scores() {
-            let full = best.len() == self.top;
-            if full && best.last().is_some_and(|worst| score <= worst.score) {
+        let blocks = self.fused.chunks(BLOCK).zip(self.eligible.chunks(BLOCK));
+        for (start, (scores, eligible)) in (0..).step_by(BLOCK).zip(blocks) {
+            let worst = best.last().filter(|_| best.len() == self.top);
+            if worst.is_some_and(|worst| highest(scores, eligible) <= worst.score) {
                 continue;
             }
-            if full {
-                best.pop();
+            for (index, (score, _)) in scores.iter().zip(eligible).enumerate().filter(|(_, (_, e))| **e) {
+                insert(&mut best, self.top, start + index, *score);
             }
-            let at = best.partition_point(|c: &Candidate| c.score >= score);
-            best.insert(
-                at,
-                Candidate {
-                    score,
-                    reference: reference as u32,
-                    ..Candidate::default()
-                },
-            );
         }
         self.candidates = best;
     }
 
     fn confidence(&self, best: usize, best_score: f64) -> f64 {
-        let (mut sum, mut count, mut rival) = (0.0, 0usize, None::<f64>);
-        for (reference, score) in self.eligible_scores() {
-            sum += score;
-            count += 1;
-            if reference.abs_diff(best) > self.exclusion {
-                rival = Some(rival.map_or(score, |r| r.max(score)));
-            }
-        }
-        let spread = best_score - sum / count as f64;
-        match rival {
-            Some(rival) if spread > 0.0 => ((best_score - rival) / spread).clamp(0.0, 1.0),
-            _ => 0.0,
+        let (sum, count) = sum_and_count(&self.fused, &self.eligible);
+        let (before, after) = (
+            ..best.saturating_sub(self.exclusion),
+            (best + self.exclusion + 1).min(self.fused.len())..,
+        );
+        let rival = highest(&self.fused[before], &self.eligible[before])
+            .max(highest(&self.fused[after.clone()], &self.eligible[after]));
+        let spread = best_score - sum / count;
+        if rival > f64::NEG_INFINITY && spread > 0.0 {
+            ((best_score - rival) / spread).clamp(0.0, 1.0)
+        } else {
+            0.0
         }
     }
+}
+
+/// Puts a reference among the `top` best so far, which stand best first, ties in the order they came.
+fn insert(best: &mut Vec<Candidate>, top: usize, reference: usize, score: f64) {
+    if best.len() == top {
+        if best.last().is_some_and(|worst| score <= worst.score) {
+            return;
+        }
+        best.pop();
+    }
+    let at = best.partition_point(|c| c.score >= score);
+    let candidate = Candidate {
+        score,
+        reference: reference as u32,
+        ..Candidate::default()
+    };
+    best.insert(at, candidate);
+}
+
+/// The highest eligible score; −∞ where there is none.
+fn highest(scores: &[f64], eligible: &[bool]) -> f64 {
+    let (lanes, rest) = scores.as_chunks::<LANES>();
+    let (e_lanes, e_rest) = eligible.as_chunks::<LANES>();
+    let mut most = [f64::NEG_INFINITY; LANES];
+    for (scores, eligible) in lanes.iter().zip(e_lanes) {
+        for k in 0..LANES {
+            let score = if eligible[k] { scores[k] } else { f64::NEG_INFINITY };
+            most[k] = if score > most[k] { score } else { most[k] };
+        }
+    }
+    let rest = rest
+        .iter()
+        .zip(e_rest)
+        .filter(|(_, e)| **e)
+        .map(|(score, _)| *score);
+    most.into_iter().chain(rest).fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// The sum of the eligible scores, and how many there are.
+fn sum_and_count(scores: &[f64], eligible: &[bool]) -> (f64, f64) {
+    let (lanes, rest) = scores.as_chunks::<LANES>();
+    let (e_lanes, e_rest) = eligible.as_chunks::<LANES>();
+    let mut sums = [0.0; LANES];
+    for (scores, eligible) in lanes.iter().zip(e_lanes) {
+        for k in 0..LANES {
+            sums[k] += if eligible[k] { scores[k] } else { 0.0 };
+        }
+    }
+    let rest = rest
+        .iter()
+        .zip(e_rest)
+        .filter(|(_, e)| **e)
+        .map(|(score, _)| *score);
+    let count = eligible.iter().filter(|e| **e).count();
+    (sums.into_iter().chain(rest).sum(), count as f64)
 }
 
 #[cfg(test)]

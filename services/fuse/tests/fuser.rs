@@ -3,7 +3,7 @@
 
 mod support;
 
-use evpr_core::message::{MatchHeader, ServiceState, TickKind};
+use evpr_core::message::{MatchHeader, ServiceHealth, ServiceState, TickKind};
 use evpr_core::plan::{Delivery, SequenceMethod};
 use evpr_core::stage::{Kept, Sink, StageError};
 use evpr_core::{MemberSet, Plan, Reason};
@@ -287,6 +287,7 @@ fn a_late_row_of_a_new_life_lifts_the_tombstone() {
     let mut fuser = fuser(&plan, map.clone(), 0, 0);
     let mut states = vec![ServiceState::default(); plan.services().len()];
     states[plan.extract_service(0)].dead_through = 1;
+    states[plan.extract_service(0)].health = ServiceHealth::Restarting as u32;
     fuser.lifecycle(&states);
     for tick in 0..2 {
         open(&mut fuser, tick, all(&plan), &[1.0, 1.0]).unwrap();
