@@ -3,8 +3,8 @@
 use evpr_core::message::Event;
 use evpr_core::plan::Sensor;
 
-/// Slots of u8 counters. With `BY_POLARITY` a slot has two rows per row of the sensor, OFF then ON, so that an event's
-/// packed row and polarity is its row here; without, one row for both.
+/// Slots of u8 counters, row-major. With `BY_POLARITY` a slot has a pair per pixel, OFF then ON; without, one counter for
+/// both.
 ///
 /// Counters stop at 255. That is exact: from 10 events on, tanh of a count is 1 in f32.
 #[derive(Debug)]
@@ -31,11 +31,16 @@ impl<const BY_POLARITY: bool> Counters<BY_POLARITY> {
         let counters = self.slots[slot].as_mut_slice();
         let mut counted = 0;
         for event in events {
-            let row = if BY_POLARITY { event.y_polarity } else { event.y() };
             let x = usize::from(event.x);
+            let pixel = usize::from(event.y()) * width + x;
+            let index = if BY_POLARITY {
+                2 * pixel + usize::from(event.on())
+            } else {
+                pixel
+            };
             // With x in its row, an index inside the slot means that the row is there too.
             if x < width
-                && let Some(counter) = counters.get_mut(usize::from(row) * width + x)
+                && let Some(counter) = counters.get_mut(index)
             {
                 *counter = counter.saturating_add(1);
                 counted += 1;
@@ -82,10 +87,10 @@ mod tests {
         let mut c = Counters::<true>::new(SENSOR, 2);
         assert_eq!(c.count(0, &vec![event(1, 1, true); 300]), 300);
         assert_eq!(c.count(1, &[event(1, 1, true), event(1, 1, false)]), 2);
-        assert_eq!(c.sum(&[0]), [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 255, 0]);
-        assert_eq!(c.sum(&[0, 1]), [0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 255, 0]);
+        assert_eq!(c.sum(&[0]), [0, 0, 0, 0, 0, 0, 0, 0, 0, 255, 0, 0]);
+        assert_eq!(c.sum(&[0, 1]), [0, 0, 0, 0, 0, 0, 0, 0, 1, 255, 0, 0]);
         c.clear(0);
-        assert_eq!(c.sum(&[1, 0]), [0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 1, 0]);
+        assert_eq!(c.sum(&[1, 0]), [0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 0, 0]);
         assert_eq!(c.sum(&[]), [0; 12]);
     }
 

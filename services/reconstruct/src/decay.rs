@@ -8,49 +8,65 @@ const BLACK_AFTER_TAUS: f64 = 18.4;
 /// With `t_last` the frame's last event and t a pixel's: s = clip(exp(−((t_last + τ) − t) / τ), 0, 1), T = tanh(s),
 /// level = truncate(clip(T / (max T + 1e-6) · 255)), in f64, the max over the channel.
 ///
-/// The level falls with age, so 255 ages at which it changes say it all: they are computed once per frame and channel,
-/// and checked against the formula itself, so that every level is the formula's. A pixel then costs a look into a
-/// table of buckets and at most one step, without a branch: the slope of the level is at most 255 / τ, so changes are at
-/// least τ / 255 apart, and no bucket is longer than that.
+/// The level falls with age, so the 255 ages at which it changes say it all: they are computed once per frame and
+/// channel, and checked against the formula itself, so that every level is the formula's. The slope of the level is at
+/// most 255 / τ, so changes are at least τ / 255 apart: a table of buckets no longer than that has at most one change in
+/// each, and a pixel costs one look into it and no branch.
 ///
 /// An *age* here is `t_last + lead − t` in µs, where the lead is τ rounded up: events up to τ after `t_last` (which a
 /// stream in order does not have) keep an age, and what is later still has s = 1 as well.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) struct Decay {
     tau_us: f64,
     lead_us: u32,
-    /// From this age on the level is 0.
+    /// From this age on the level is 0 in every frame.
+    always_black_us: u32,
+    /// From this age on the level is 0 in this frame.
     black_us: u32,
     shift: u32,
-    /// `ends[l]`: ages below it have level l or more; of level 0 that is all.
-    ends: [u32; 256],
-    /// Level of the first age of each bucket of 2^shift µs; the last is for all that is older, and black.
-    buckets: Vec<u8>,
+    /// Per bucket of 2^shift µs: the level of its first age times 2^24, plus the offset in it (µs) from which on the
+    /// level is one less, or 2^shift where it has no change.
+    buckets: Box<[u32; BUCKETS]>,
 }
 
+/// Enough for every τ: a bucket is longer than τ / 510 (or 1 µs), and ages end at 19.4 τ.
+const BUCKETS: usize = 1 << 14;
+const LEVEL_SHIFT: u32 = 24;
+const OFFSET_MASK: u32 = (1 << LEVEL_SHIFT) - 1;
+
 impl Decay {
-    /// The longest time constant, µs. It keeps the ages that matter within u32.
+    /// The longest time constant, µs. It keeps the ages that matter within u32, and a bucket within 2^24 µs.
     pub(crate) const MAX_TAU_US: f64 = 100e6;
 
     /// For this time constant (above 0, at most [`Self::MAX_TAU_US`]), µs.
     pub(crate) fn new(tau_us: f64) -> Self {
         let lead_us = tau_us.ceil() as u32;
-        let black_us = lead_us + (BLACK_AFTER_TAUS * tau_us).ceil() as u32 + 1;
         let closest_us = (tau_us / 255.0) as u32;
-        let shift = closest_us.max(1).ilog2();
-        Self {
+        let mut decay = Self {
             tau_us,
             lead_us,
-            black_us,
-            shift,
-            ends: [0; 256],
-            buckets: vec![0; (black_us >> shift) as usize + 2],
-        }
+            always_black_us: lead_us + (BLACK_AFTER_TAUS * tau_us).ceil() as u32 + 1,
+            black_us: 0,
+            shift: closest_us.max(1).ilog2(),
+            buckets: Box::new([0; BUCKETS]),
+        };
+        decay.prepare(u32::MAX);
+        decay
     }
 
     /// The age of the last event itself, µs.
     pub(crate) fn lead_us(&self) -> u32 {
         self.lead_us
+    }
+
+    /// From this age on (µs) the level is 0 in every frame.
+    pub(crate) fn always_black_us(&self) -> u32 {
+        self.always_black_us
+    }
+
+    /// From this age on (µs) the level is 0 in the channel made ready for.
+    pub(crate) fn black_us(&self) -> u32 {
+        self.black_us
     }
 
     /// tanh(s) at this age.
@@ -72,35 +88,45 @@ impl Decay {
 
     /// Makes ready for a channel whose youngest pixel has this age; `u32::MAX` when it has no event.
     pub(crate) fn prepare(&mut self, youngest_us: u32) {
+        // `ends[l]`: ages below it have level l or more; of level 0 that is all.
+        let mut ends = [u32::MAX; 256];
         if youngest_us == u32::MAX {
-            self.buckets.fill(0);
-            return;
+            ends[1..].fill(0);
+        } else {
+            let largest = self.surface(youngest_us);
+            for level in 1..=u8::MAX {
+                ends[usize::from(level)] = self.end_of(level, largest);
+            }
         }
-        let largest = self.surface(youngest_us);
-        for level in 1..=u8::MAX {
-            self.ends[usize::from(level)] = self.end_of(level, largest);
-        }
-        let mut level = u8::MAX;
-        for (bucket, first) in self.buckets.iter_mut().enumerate() {
-            let age_us = (bucket as u32) << self.shift;
-            while level > 0 && age_us >= self.ends[usize::from(level)] {
+        self.black_us = ends[1];
+        let used = (self.black_us >> self.shift) as usize + 1;
+        let length_us = 1 << self.shift;
+        let mut level = 255;
+        for (bucket, entry) in self.buckets.iter_mut().take(used).enumerate() {
+            let first_us = (bucket as u32) << self.shift;
+            while first_us >= ends[level] {
                 level -= 1;
             }
-            *first = level;
+            let offset_us = (ends[level] - first_us).min(length_us);
+            *entry = (level as u32) << LEVEL_SHIFT | offset_us;
         }
     }
 
-    /// The age below which the level is `level` or more: the formula solved for the age, then checked against it,
-    /// because the solution may be off by a rounding.
+    /// The age below which the level is `level` or more: the formula solved for the age. Where the solution is so
+    /// close to a whole µs that a rounding may have put it on the wrong side, the formula itself decides.
     fn end_of(&self, level: u8, largest: f64) -> u32 {
         const ROUNDINGS: usize = 4;
+        const CLOSE_US: f64 = 0.01;
         let surface = f64::from(level) / 255.0 * (largest + 1e-6);
         let after_last_us = -self.tau_us * (surface.atanh().ln() + 1.0);
-        let solved = (f64::from(self.lead_us) + after_last_us).floor() + 1.0;
+        let solved = f64::from(self.lead_us) + after_last_us;
         // NaN (a level above the formula's range) becomes 0.
-        let mut end = (solved.max(0.0) as u32).min(self.black_us);
+        let mut end = ((solved.floor() + 1.0).max(0.0) as u32).min(self.always_black_us);
+        if level < u8::MAX - 1 && (solved - solved.round()).abs() > CLOSE_US {
+            return end;
+        }
         for _ in 0..ROUNDINGS {
-            if end < self.black_us && self.formula(end, largest) >= level {
+            if end < self.always_black_us && self.formula(end, largest) >= level {
                 end += 1;
             } else if end > 0 && self.formula(end - 1, largest) < level {
                 end -= 1;
@@ -111,12 +137,13 @@ impl Decay {
         end
     }
 
-    /// The level at this age, µs; `u32::MAX` means no event.
+    /// The level at this age, µs, which is at most [`Self::black_us`] (an older one has the level of that).
     #[inline]
     pub(crate) fn level(&self, age_us: u32) -> u8 {
-        let bucket = (age_us >> self.shift) as usize;
-        let level = self.buckets[bucket.min(self.buckets.len() - 1)];
-        level - u8::from(level > 0 && age_us >= self.ends[usize::from(level)])
+        // The mask never changes the bucket. It is there for the compiler.
+        let entry = self.buckets[(age_us >> self.shift) as usize & (BUCKETS - 1)];
+        let offset_us = age_us & ((1 << self.shift) - 1);
+        (entry >> LEVEL_SHIFT) as u8 - u8::from(offset_us >= entry & OFFSET_MASK)
     }
 }
 
@@ -124,6 +151,10 @@ impl Decay {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+
+    fn level(d: &Decay, age_us: u32) -> u8 {
+        d.level(age_us.min(d.black_us()))
+    }
 
     /// Every age of a short time constant, and the youngest pixel anywhere.
     #[test]
@@ -138,11 +169,11 @@ mod tests {
             let mut d = Decay::new(tau_us);
             d.prepare(youngest_us);
             let largest = d.surface(youngest_us);
-            for age_us in youngest_us..d.black_us + 100 {
+            for age_us in youngest_us..d.always_black_us + 100 {
                 let expected = d.formula(age_us, largest);
-                assert_eq!(d.level(age_us), expected, "τ {tau_us} µs, age {age_us}");
+                assert_eq!(level(&d, age_us), expected, "τ {tau_us} µs, age {age_us}");
             }
-            assert_eq!(d.level(u32::MAX), 0);
+            assert_eq!(level(&d, u32::MAX), 0);
         }
     }
 
@@ -150,9 +181,9 @@ mod tests {
     fn the_youngest_pixel_is_white_and_a_channel_without_events_black() {
         let mut d = Decay::new(100_000.0);
         d.prepare(d.lead_us());
-        assert_eq!(d.level(d.lead_us()), 254);
+        assert_eq!(level(&d, d.lead_us()), 254);
         d.prepare(u32::MAX);
-        assert_eq!((d.level(0), d.level(d.lead_us())), (0, 0));
+        assert_eq!((level(&d, 0), level(&d, d.lead_us())), (0, 0));
     }
 
     proptest! {
@@ -164,7 +195,7 @@ mod tests {
             let youngest_us = (youngest * tau_us) as u32;
             let age_us = youngest_us.saturating_add((older * tau_us) as u32);
             d.prepare(youngest_us);
-            prop_assert_eq!(d.level(age_us), d.formula(age_us, d.surface(youngest_us)));
+            prop_assert_eq!(level(&d, age_us), d.formula(age_us, d.surface(youngest_us)));
         }
     }
 }

@@ -19,7 +19,7 @@ impl EventCountNoPolarity {
     pub(crate) fn new(sensor: Sensor, slots: usize) -> Self {
         Self {
             counters: Counters::new(sensor, slots),
-            map: Levels::new(level),
+            map: Levels::new(level, level),
         }
     }
 }

@@ -2,89 +2,123 @@
 
 use crate::decay::Decay;
 use crate::method::Method;
-use crate::pixels::interleave;
+use crate::pixels::{largest, render_pairs};
 use evpr_core::message::Event;
 use evpr_core::plan::{Params, Sensor};
 
-/// A slot's times reach so far (µs) on either side of its reference event: about 35 minutes, which is more than 21 of
-/// the longest time constants, so that what lies beyond is black (before) or saturated (after) anyway.
-const REACH_US: u64 = 1 << 31;
+/// Numbers that are worked on at once: stretches of so many without an event cost little.
+const RUN: usize = 32;
 
 /// Channels ON, OFF, 0. The formula is [`Decay`]'s; "last" means last in stream order, and the frame's last event is
 /// the last of either polarity.
 #[derive(Debug)]
 pub(crate) struct TimeSurface {
     width: usize,
+    range: Range,
     slots: Vec<Slot>,
-    /// Ages of the frame that is being rendered; `u32::MAX` where no event is. Rows as in [`Slot::times`].
-    ages: Vec<u32>,
-    off_decay: Decay,
-    on_decay: Decay,
-    off_levels: Vec<u8>,
-    on_levels: Vec<u8>,
+    /// The base that new slots take while they can, so that their times go together as they are.
+    base_us: u64,
+    /// Times of the frame that is being rendered, where it has more than one slot. As [`Slot::times`].
+    merged: Vec<u32>,
+    on: Decay,
+    off: Decay,
 }
 
 /// Last times of one segment.
 #[derive(Debug, Clone)]
 struct Slot {
-    /// Per pixel, two rows per row of the sensor (OFF, then ON): 0 where no event is, else 1 + time − `base_us`.
+    /// Per pixel a pair, ON then OFF: 0 where no event is, else the time from `base_us`, in the [`Range`].
     times: Vec<u32>,
+    /// Times count from here, modulo 2^64 (it may lie before 0).
     base_us: u64,
     /// Time of the last event in stream order, µs.
     last_us: Option<u64>,
 }
 
-/// Where in `len` times of rows of `width` an event's is kept, if the event lies in the sensor.
+/// Which times, from their base, are kept.
+///
+/// From the earliest to the latest: the 0 of "no event" is then so much before any of them that it is black, and the
+/// latest plus the lead is still within u32. So a pixel's age is one subtraction, event or not.
+#[derive(Debug, Clone, Copy)]
+struct Range {
+    earliest: u32,
+    /// Where a new base puts its first event. What would come before the earliest then is black by its age.
+    centre: u32,
+}
+
+impl Range {
+    const LATEST: u32 = u32::MAX - Decay::MAX_TAU_US as u32;
+
+    fn new(decay: &Decay) -> Self {
+        let earliest = decay.always_black_us();
+        Self {
+            earliest,
+            centre: (2 * earliest).max(1 << 31),
+        }
+    }
+
+    /// The base with which a time is at the centre.
+    fn base_for(self, time_us: u64) -> u64 {
+        time_us.wrapping_sub(self.centre.into())
+    }
+
+    /// The time from a base, if it is in the range.
+    fn stored(self, time_us: u64, base_us: u64) -> Option<u32> {
+        let since = u32::try_from(time_us.wrapping_sub(base_us)).ok()?;
+        (self.earliest..=Self::LATEST).contains(&since).then_some(since)
+    }
+
+    /// The stored time of an event (or 0) from a base that is `by` earlier. What comes to lie before the range is
+    /// black, and forgotten; what comes to lie after it goes to its end.
+    fn shifted(self, time: u32, by: i128) -> u32 {
+        let shifted = i128::from(time) + by;
+        if time == 0 || shifted < self.earliest.into() {
+            return 0;
+        }
+        shifted.min(Self::LATEST.into()) as u32
+    }
+}
+
+/// Where in `len` times an event's is kept, if the event lies in the sensor.
 #[inline]
 fn index(event: &Event, width: usize, len: usize) -> Option<usize> {
     let x = usize::from(event.x);
-    let index = usize::from(event.y_polarity) * width + x;
+    let index = 2 * (usize::from(event.y()) * width + x) + usize::from(!event.on());
     (x < width && index < len).then_some(index)
 }
 
 impl Slot {
-    /// Enters events whose times, `base` added, fit; returns how many lie in the sensor.
-    fn enter(&mut self, events: &[Event], base: u32, width: usize) -> usize {
+    /// Enters events; returns how many lie in the sensor, and the largest `t_us` of all. Their times are right if that
+    /// one's, `base` added, is.
+    fn enter(&mut self, events: &[Event], base: u32, width: usize) -> (usize, u32) {
         let times = self.times.as_mut_slice();
-        let mut entered = 0;
+        let (mut entered, mut longest_us) = (0, 0);
         for event in events {
+            longest_us = longest_us.max(event.t_us);
             if let Some(index) = index(event, width, times.len()) {
-                times[index] = base + event.t_us;
+                times[index] = base.wrapping_add(event.t_us);
                 entered += 1;
             }
         }
-        entered
+        (entered, longest_us)
     }
 
-    /// 1 + time − base, where it fits.
-    fn stored(&self, time_us: u64) -> Option<u32> {
-        let since = time_us.checked_sub(self.base_us)?;
-        u32::try_from(since).ok()?.checked_add(1)
-    }
-
-    /// Moves the base so that times around `time_us` fit; times that no longer do go to the end of the range.
-    fn rebase(&mut self, time_us: u64) {
-        let base_us = time_us.saturating_sub(REACH_US);
-        let shift = |distance_us: u64| u32::try_from(distance_us).unwrap_or(u32::MAX);
-        let forward = shift(base_us.saturating_sub(self.base_us));
-        let backward = shift(self.base_us.saturating_sub(base_us));
-        for time in self.times.iter_mut().filter(|time| **time != 0) {
-            *time = time.saturating_sub(forward).max(1).saturating_add(backward);
+    fn accumulate(&mut self, events: &[Event], base_us: u64, width: usize, range: Range) -> usize {
+        let mut entered = None;
+        if let Some(base) = range.stored(base_us, self.base_us) {
+            let (count, longest_us) = self.enter(events, base, width);
+            let latest_us = base_us.saturating_add(longest_us.into());
+            entered = range.stored(latest_us, self.base_us).map(|_| count);
         }
-        self.base_us = base_us;
-    }
-
-    fn accumulate(&mut self, events: &[Event], base_us: u64, width: usize) -> usize {
-        if self.last_us.is_none() {
-            self.base_us = base_us.saturating_sub(REACH_US);
-        }
-        let longest_us = events.iter().fold(0, |a, e| a.max(e.t_us));
-        let last_fits = self.stored(base_us.saturating_add(longest_us.into())).is_some();
-        let entered = match self.stored(base_us) {
-            Some(base) if last_fits => self.enter(events, base, width),
-            // Rare: more than half an hour between events of one segment, or as much back.
-            _ => events.iter().map(|e| self.enter_far(e, base_us, width)).sum(),
+        // Rare: many minutes between events of one segment, or as much back. What the attempt above wrote is written
+        // again.
+        let far = || {
+            events
+                .iter()
+                .map(|e| self.enter_far(e, base_us, width, range))
+                .sum()
         };
+        let entered = entered.unwrap_or_else(far);
         let inside = |e: &&Event| index(e, width, self.times.len()).is_some();
         if let Some(last) = events.iter().rev().find(inside) {
             self.last_us = Some(base_us.saturating_add(last.t_us.into()));
@@ -92,31 +126,28 @@ impl Slot {
         entered
     }
 
-    /// Enters one event, and moves the base where its time does not fit.
-    fn enter_far(&mut self, event: &Event, base_us: u64, width: usize) -> usize {
+    /// Enters one event, and moves the base where its time is not in the range.
+    fn enter_far(&mut self, event: &Event, base_us: u64, width: usize, range: Range) -> usize {
         let Some(index) = index(event, width, self.times.len()) else {
             return 0;
         };
         let time_us = base_us.saturating_add(event.t_us.into());
-        if self.stored(time_us).is_none() {
-            self.rebase(time_us);
-        }
-        self.times[index] = self.stored(time_us).unwrap_or(u32::MAX);
+        self.times[index] = range.stored(time_us, self.base_us).unwrap_or_else(|| {
+            let by = difference(self.base_us, range.base_for(time_us));
+            self.times
+                .iter_mut()
+                .for_each(|time| *time = range.shifted(*time, by));
+            self.base_us = range.base_for(time_us);
+            range.centre
+        });
         1
     }
+}
 
-    /// Overwrites the ages of the pixels that have an event here; with `replace` all the others become "no event".
-    fn age(&self, last_us: u64, lead_us: u32, replace: bool, ages: &mut [u32]) {
-        // age = reference − stored, in u32 as far as that goes.
-        let reference = i128::from(last_us) + i128::from(lead_us) + 1 - i128::from(self.base_us);
-        let clamp = |v: i128| v.clamp(0, i128::from(u32::MAX)) as u32;
-        let (low, high) = (clamp(reference), clamp(reference - i128::from(u32::MAX)));
-        for (age, time) in ages.iter_mut().zip(&self.times) {
-            let without = if replace { u32::MAX } else { *age };
-            let with = low.saturating_sub(*time).saturating_add(high);
-            *age = if *time == 0 { without } else { with };
-        }
-    }
+/// How much later the first base is. Bases are times less the centre.
+fn difference(base_us: u64, other_us: u64) -> i128 {
+    let time = |base_us: u64| i128::from(base_us.wrapping_add(1 << 32));
+    time(base_us) - time(other_us)
 }
 
 impl TimeSurface {
@@ -131,31 +162,94 @@ impl TimeSurface {
             base_us: 0,
             last_us: None,
         };
+        let decay = Decay::new(tau_us);
         Ok(Self {
             width: sensor.width,
-            ages: slot.times.clone(),
+            range: Range::new(&decay),
+            merged: if slots > 1 { slot.times.clone() } else { Vec::new() },
             slots: vec![slot; slots],
-            off_decay: Decay::new(tau_us),
-            on_decay: Decay::new(tau_us),
-            off_levels: vec![0; sensor.width],
-            on_levels: vec![0; sensor.width],
+            base_us: 0,
+            on: decay.clone(),
+            off: decay,
         })
+    }
+
+    /// The base of a new slot whose first chunk counts from `chunk_base_us`.
+    fn new_base(&mut self, chunk_base_us: u64) -> u64 {
+        let since = chunk_base_us.wrapping_sub(self.base_us);
+        let centre = u64::from(self.range.centre);
+        if !(centre..centre.midpoint(Range::LATEST.into())).contains(&since) {
+            self.base_us = self.range.base_for(chunk_base_us);
+        }
+        self.base_us
+    }
+
+    /// Puts the times of slots, in stream order, into `merged`, all from the base of the newest.
+    fn merge(&mut self, older: &[usize], newest: usize) {
+        let newest = &self.slots[newest];
+        self.merged.copy_from_slice(&newest.times);
+        for slot in older.iter().rev().map(|s| &self.slots[*s]) {
+            if slot.last_us.is_none() {
+                continue;
+            }
+            let both = self.merged.iter_mut().zip(&slot.times);
+            if slot.base_us == newest.base_us {
+                both.for_each(|(time, older)| *time = if *time == 0 { *older } else { *time });
+            } else {
+                let by = difference(slot.base_us, newest.base_us);
+                let under = both.filter(|(time, _)| **time == 0);
+                under.for_each(|(time, older)| *time = self.range.shifted(*older, by));
+            }
+        }
     }
 }
 
-fn youngest(ages: &[u32], at_most: u32) -> u32 {
-    ages.iter().fold(at_most, |a, b| a.min(*b))
+/// What turns stored times into levels. An age is `now` less the stored time.
+struct Look<'a> {
+    now: u32,
+    on: &'a Decay,
+    off: &'a Decay,
 }
 
-fn levels(decay: &Decay, ages: &[u32], levels: &mut [u8]) {
-    for (level, age) in levels.iter_mut().zip(ages) {
-        *level = decay.level(*age);
+impl Look<'_> {
+    /// Levels of a plane of pairs.
+    fn levels(&self, times: &[u32], levels: &mut [u8]) {
+        let (times, times_rest) = times.as_chunks::<RUN>();
+        let (levels, levels_rest) = levels.as_chunks_mut::<RUN>();
+        for (levels, times) in levels.iter_mut().zip(times) {
+            if times.iter().fold(0, |any, time| any | time) == 0 {
+                *levels = [0; RUN];
+            } else {
+                self.run(times, levels);
+            }
+        }
+        let (mut times, mut levels) = ([0; RUN], [0; RUN]);
+        times[..times_rest.len()].copy_from_slice(times_rest);
+        self.run(&times, &mut levels);
+        levels_rest.copy_from_slice(&levels[..levels_rest.len()]);
+    }
+
+    /// First all ages, which makes vectors; then all levels, which cannot.
+    fn run(&self, times: &[u32; RUN], levels: &mut [u8; RUN]) {
+        let black_us = [self.on.black_us(), self.off.black_us()];
+        let mut ages_us = [0; RUN];
+        for i in 0..RUN {
+            ages_us[i] = self.now.saturating_sub(times[i]).min(black_us[i % 2]);
+        }
+        let pairs = levels.as_chunks_mut::<2>().0.iter_mut();
+        for ([on, off], [on_age_us, off_age_us]) in pairs.zip(ages_us.as_chunks::<2>().0) {
+            *on = self.on.level(*on_age_us);
+            *off = self.off.level(*off_age_us);
+        }
     }
 }
 
 impl Method for TimeSurface {
     fn accumulate(&mut self, slot: usize, events: &[Event], base_us: u64) -> usize {
-        self.slots[slot].accumulate(events, base_us, self.width)
+        if self.slots[slot].last_us.is_none() {
+            self.slots[slot].base_us = self.new_base(base_us);
+        }
+        self.slots[slot].accumulate(events, base_us, self.width, self.range)
     }
 
     fn clear(&mut self, slot: usize) {
@@ -165,32 +259,39 @@ impl Method for TimeSurface {
     }
 
     fn render(&mut self, slots: &[usize], out: &mut [u8]) {
-        let width = self.width;
-        let Some(last_us) = slots.iter().rev().find_map(|s| self.slots[*s].last_us) else {
+        let last = |slot: &usize| {
+            let slot = &self.slots[*slot];
+            slot.last_us
+                .and_then(|last_us| self.range.stored(last_us, slot.base_us))
+        };
+        let newest = (0..slots.len()).rev().find_map(|i| Some((i, last(&slots[i])?)));
+        let Some((newest, last_time)) = newest else {
             out.fill(0);
             return;
         };
-        for (i, slot) in slots.iter().enumerate() {
-            self.slots[*slot].age(last_us, self.off_decay.lead_us(), i == 0, &mut self.ages);
-        }
-        let (mut off_youngest, mut on_youngest) = (u32::MAX, u32::MAX);
-        for rows in self.ages.chunks_exact(2 * width) {
-            let (off, on) = rows.split_at(width);
-            off_youngest = youngest(off, off_youngest);
-            on_youngest = youngest(on, on_youngest);
-        }
-        self.off_decay.prepare(off_youngest);
-        self.on_decay.prepare(on_youngest);
-        for (rows, out) in self
-            .ages
-            .chunks_exact(2 * width)
-            .zip(out.chunks_exact_mut(3 * width))
-        {
-            let (off, on) = rows.split_at(width);
-            levels(&self.off_decay, off, &mut self.off_levels);
-            levels(&self.on_decay, on, &mut self.on_levels);
-            interleave(&self.on_levels, &self.off_levels, out);
-        }
+        let (older, newest) = (&slots[..newest], slots[newest]);
+        let times = if older.iter().any(|slot| last(slot).is_some()) {
+            self.merge(older, newest);
+            &self.merged
+        } else {
+            &self.slots[newest].times
+        };
+        let now = last_time + self.on.lead_us();
+        let youngest = largest(times, u32::MAX).map(|time| {
+            if time == 0 {
+                u32::MAX
+            } else {
+                now.saturating_sub(time)
+            }
+        });
+        self.on.prepare(youngest[0]);
+        self.off.prepare(youngest[1]);
+        let look = Look {
+            now,
+            on: &self.on,
+            off: &self.off,
+        };
+        render_pairs(times, out, |times, out| look.levels(times, out));
     }
 }
 
