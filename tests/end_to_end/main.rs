@@ -6,6 +6,7 @@
 mod bad_input;
 mod corridor;
 mod deaths;
+mod demo;
 mod members;
 mod replay;
 mod support;

@@ -92,7 +92,11 @@ struct DrivenAll {
 }
 
 /// All drives through the graph, or with what the command ends when one of them was cut short.
-fn drive_all(setup: &Setup, folder: &ReportFolder, show: Show) -> Result<Result<DrivenAll, ExitCode>, Failure> {
+fn drive_all(
+    setup: &Setup,
+    folder: &ReportFolder,
+    show: Show,
+) -> Result<Result<DrivenAll, ExitCode>, Failure> {
     let map = folder.traverse(StreetPass::Day);
     let run = |plan: &Plan, matches: Option<StreetPass>, what: &str| {
         show.step(what);
@@ -112,7 +116,10 @@ fn drive_all(setup: &Setup, folder: &ReportFolder, show: Show) -> Result<Result<
         equal_answers: None,
     };
     let (mut queries, mut drives) = (Vec::new(), Vec::new());
-    for (pass, what) in QUERIES.into_iter().zip(["recognising it by day again", "recognising it by night"]) {
+    for (pass, what) in QUERIES
+        .into_iter()
+        .zip(["recognising it by day again", "recognising it by night"])
+    {
         let record = folder.traverse(pass);
         let plan = setup.matching(pass, &map, &record)?;
         match run(&plan, Some(pass), what)? {
@@ -123,7 +130,9 @@ fn drive_all(setup: &Setup, folder: &ReportFolder, show: Show) -> Result<Result<
     }
     let paced = setup.paced(&map)?;
     let latency = match run(&paced, None, "measuring latency in real time")? {
-        Driven::Whole(drive) => latency::measure(&drive, paced.members.len(), paced.slicing.tick as f64 / 1e9),
+        Driven::Whole(drive) => {
+            latency::measure(&drive, paced.members.len(), paced.slicing.tick as f64 / 1e9)
+        }
         Driven::CutShort(code) => return Ok(Err(code)),
     };
     Ok(Ok(DrivenAll {
@@ -151,7 +160,10 @@ fn evaluate(driven: &DrivenAll) -> Result<Evaluated, Failure> {
     for (recorded, drive) in driven.queries.iter().zip(&driven.drives) {
         let matrix = matrix::fused(recorded)?;
         let answered = drive.answers.iter().map(|h| usize::try_from(h.reference).ok());
-        let equal = answered.zip(&matrix.answers).filter(|(live, later)| live == *later).count();
+        let equal = answered
+            .zip(&matrix.answers)
+            .filter(|(live, later)| live == *later)
+            .count();
         evaluated.passes.push(PassResult {
             pass: recorded.pass,
             ticks: recorded.query.ticks.len(),

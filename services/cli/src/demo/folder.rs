@@ -71,7 +71,11 @@ impl ReportFolder {
             }
             Err(e) => return Err(failed(e)),
         }
-        fs::write(path.join(MARK), "A report of evpr demo. The next one replaces it.\n").map_err(failed)?;
+        fs::write(
+            path.join(MARK),
+            "A report of evpr demo. The next one replaces it.\n",
+        )
+        .map_err(failed)?;
         for file in FILES {
             gone(fs::remove_file(path.join(file))).map_err(failed)?;
         }
@@ -79,12 +83,9 @@ impl ReportFolder {
             gone(fs::remove_dir_all(path.join(folder))).map_err(failed)?;
             fs::create_dir(path.join(folder)).map_err(failed)?;
         }
-        Ok(Self { path: path.to_owned() })
-    }
-
-    /// The folder.
-    pub(crate) fn path(&self) -> &Path {
-        &self.path
+        Ok(Self {
+            path: path.to_owned(),
+        })
     }
 
     /// A file of the report.

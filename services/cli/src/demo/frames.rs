@@ -4,9 +4,7 @@
 use super::recall::Truth;
 use crate::failure::Failure;
 use evpr_core::Plan;
-use evpr_core::message::{
-    ChannelOrder, ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader,
-};
+use evpr_core::message::{ChannelOrder, ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader};
 use evpr_core::plan::{Sensor, StreetPass};
 use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_runtime::Stop;
@@ -52,7 +50,12 @@ pub(crate) fn look(mapping: &Plan, queries: &[(StreetPass, &Plan, &Truth)]) -> R
     let place = common_place(&truths).ok_or_else(|| Failure::new("the drives have no place in common"))?;
     let window = mapping.slicing.windows.len().saturating_sub(1).min(1);
     let mut drives = vec![(StreetPass::Day, mapping, place.reference)];
-    drives.extend(queries.iter().zip(&place.queries).map(|((pass, plan, _), tick)| (*pass, *plan, *tick)));
+    drives.extend(
+        queries
+            .iter()
+            .zip(&place.queries)
+            .map(|((pass, plan, _), tick)| (*pass, *plan, *tick)),
+    );
     let frames: Result<Vec<_>, Failure> = std::thread::scope(|scope| {
         // Threads of their own: the simulation needs rayon's, which must not wait for it.
         let start = |(_, plan, tick): &(StreetPass, &Plan, usize)| {
@@ -61,7 +64,9 @@ pub(crate) fn look(mapping: &Plan, queries: &[(StreetPass, &Plan, &Truth)]) -> R
         };
         let threads: Vec<_> = drives.iter().map(start).collect();
         let joined = threads.into_iter().map(std::thread::ScopedJoinHandle::join);
-        joined.map(|frames| frames.unwrap_or_else(|_| Err(Failure::new("making frames panicked")))).collect()
+        joined
+            .map(|frames| frames.unwrap_or_else(|_| Err(Failure::new("making frames panicked"))))
+            .collect()
     });
     let seen = drives.iter().zip(frames?).zip(place.along_m);
     Ok(Place {
@@ -101,9 +106,14 @@ fn common_place(truths: &[&Truth]) -> Option<CommonPlace> {
         .filter_map(nearest)
         .min_by(|a, b| far(&a.1).total_cmp(&far(&b.1)))?;
     let queries: Vec<usize> = near.into_iter().map(|(query, _)| query).collect();
-    let of_queries = queries.iter().zip(truths).map(|(query, truth)| truth.queries[*query][0]);
+    let of_queries = queries
+        .iter()
+        .zip(truths)
+        .map(|(query, truth)| truth.queries[*query][0]);
     Some(CommonPlace {
-        along_m: std::iter::once(references[reference][0]).chain(of_queries).collect(),
+        along_m: std::iter::once(references[reference][0])
+            .chain(of_queries)
+            .collect(),
         reference,
         queries,
     })

@@ -86,7 +86,9 @@ pub(crate) fn drive(plan: &Plan, matches: Option<&Path>, quiet: bool, what: &str
             summary,
             took_s: start.elapsed().as_secs_f64(),
         })),
-        Outcome::Interrupted => Ok(Driven::CutShort(ExitCode::from(crate::commands::run::EXIT_INTERRUPTED))),
+        Outcome::Interrupted => Ok(Driven::CutShort(ExitCode::from(
+            crate::commands::run::EXIT_INTERRUPTED,
+        ))),
         Outcome::Stopped => Ok(Driven::CutShort(ExitCode::SUCCESS)),
         Outcome::Failed => Err(summary.failure.map_or_else(Failure::said_already, Failure::new)),
     }

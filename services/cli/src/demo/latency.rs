@@ -83,12 +83,22 @@ pub(crate) fn measure(drive: &Drive, members: usize, tick_s: f64) -> Latency {
         ticks: known.len(),
         left_out: drive.answers.len() - known.len(),
         members,
-        events_per_s: if seconds > 0.0 { drive.events() as f64 / seconds } else { 0.0 },
+        events_per_s: if seconds > 0.0 {
+            drive.events() as f64 / seconds
+        } else {
+            0.0
+        },
         cores: std::thread::available_parallelism().map_or(1, usize::from),
         load_1min: load_1min(),
         stages: STAGES.map(stage).into(),
         // Ingest takes in a recording, no messages.
-        processes: drive.summary.services.iter().filter(|s| s.stats.received > 0).map(process).collect(),
+        processes: drive
+            .summary
+            .services
+            .iter()
+            .filter(|s| s.stats.received > 0)
+            .map(process)
+            .collect(),
     }
 }
 

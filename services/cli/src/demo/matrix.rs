@@ -19,7 +19,13 @@ pub(crate) struct ScoreMatrix {
 impl ScoreMatrix {
     /// The value below which the share `q` (0 to 1) of all scores lies; `None` without scores.
     pub(crate) fn quantile(&self, q: f64) -> Option<f64> {
-        let mut all: Vec<f64> = self.rows.iter().flatten().copied().filter(|v| v.is_finite()).collect();
+        let mut all: Vec<f64> = self
+            .rows
+            .iter()
+            .flatten()
+            .copied()
+            .filter(|v| v.is_finite())
+            .collect();
         all.sort_by(f64::total_cmp);
         let last = all.len().checked_sub(1)?;
         all.get((last as f64 * q).round() as usize).copied()

@@ -175,12 +175,15 @@ impl Recorded {
         let mut plan = self.plan.clone();
         plan.fuse.length = length;
         let answered = answers(&plan, self.map.clone(), &self.query, |_| *members)?;
-        let reference = answered.iter().map(|(header, _)| usize::try_from(header.reference).ok());
+        let reference = answered
+            .iter()
+            .map(|(header, _)| usize::try_from(header.reference).ok());
         Ok(reference.collect())
     }
 
     fn right(&self, answers: &[Option<usize>]) -> usize {
-        let right = |(query, answer): (usize, &Option<usize>)| answer.is_some_and(|r| self.truth.is_right(query, r));
+        let right =
+            |(query, answer): (usize, &Option<usize>)| answer.is_some_and(|r| self.truth.is_right(query, r));
         answers.iter().enumerate().filter(|a| right(*a)).count()
     }
 }
@@ -273,7 +276,10 @@ mod tests {
 
     #[test]
     fn every_member_is_once_in_each_kind() {
-        let setup = Setup { seed: 1, quick: false };
+        let setup = Setup {
+            seed: 1,
+            quick: false,
+        };
         let plan = setup.mapping(Path::new("record")).unwrap();
         let all = ensembles(&plan);
         let expected = [(36, 1), (9, 4), (12, 3), (12, 3), (1, 36)];
@@ -281,7 +287,10 @@ mod tests {
             let of_kind: Vec<&Ensemble> = all.iter().filter(|e| e.kind == kind).collect();
             assert_eq!(of_kind.len(), count, "{kind:?}");
             assert!(of_kind.iter().all(|e| e.members.len() == size), "{kind:?}");
-            let covered: MemberSet = of_kind.iter().flat_map(|e| e.members.iter().collect::<Vec<_>>()).collect();
+            let covered: MemberSet = of_kind
+                .iter()
+                .flat_map(|e| e.members.iter().collect::<Vec<_>>())
+                .collect();
             assert_eq!(covered.len(), plan.members.len());
         }
         assert_eq!(all[36].name, "event_count@*/patch_norm");

@@ -1,7 +1,7 @@
 //! All numbers of a demonstration: as `results.json`, and as a table for people.
 
 use super::latency::Latency;
-use super::recall::{EnsembleKind, KindRecall};
+use super::recall::{EnsembleKind, EnsembleRecall, KindRecall};
 use crate::output::say;
 use evpr_core::Plan;
 use evpr_core::plan::StreetPass;
@@ -57,7 +57,9 @@ impl Scene {
             speed_m_s: street.speed_m_s,
             sensor: plan.sensor,
             tick: plan.slicing.tick_id(),
-            windows: (0..plan.slicing.windows.len()).map(|w| plan.slicing.window_id(w)).collect(),
+            windows: (0..plan.slicing.windows.len())
+                .map(|w| plan.slicing.window_id(w))
+                .collect(),
             reconstructions: plan.reconstructions.iter().map(|r| r.id.clone()).collect(),
             extractors: plan.extractors.iter().map(|e| e.id.clone()).collect(),
             members: plan.members.len(),
@@ -110,9 +112,22 @@ impl Results {
     }
 
     /// Recall of a kind of ensembles on a drive.
-    pub(crate) fn recall_of(&self, kind: EnsembleKind, pass: StreetPass, length: usize) -> Option<&KindRecall> {
+    pub(crate) fn recall_of(
+        &self,
+        kind: EnsembleKind,
+        pass: StreetPass,
+        length: usize,
+    ) -> Option<&KindRecall> {
         let mut recall = self.recall.iter();
         recall.find(|r| r.kind == kind && r.pass == pass && r.length == length)
+    }
+
+    /// How the ensemble of a kind that is best by day does by night: what one gets who chooses by day. Of equals the
+    /// first of the plan.
+    pub(crate) fn chosen_by_day(&self, kind: EnsembleKind, length: usize) -> Option<&EnsembleRecall> {
+        let chosen = self.recall_of(kind, StreetPass::Day2, length)?.best()?;
+        let by_night = self.recall_of(kind, StreetPass::Night, length)?;
+        by_night.ensembles.iter().find(|e| e.name == chosen.name)
     }
 
     /// Prints the numbers for a person.
@@ -135,21 +150,30 @@ impl Results {
         say!("Recall@1 within {tolerance_m} m, {sequences}");
         let day = format!("day ({} ticks)", ticks(StreetPass::Day2));
         let night = format!("night ({} ticks)", ticks(StreetPass::Night));
-        say!("  {:<24}{day:>18}{night:>20}", "");
-        say!("  {:<24}{:>10}{:>8}{:>12}{:>8}", "ensembles", "best", "mean", "best", "mean");
+        say!("  {:<24}{day:>18}{night:>32}", "");
+        say!(
+            "  {:<24}{:>10}{:>8}{:>12}{:>8}{:>12}",
+            "ensembles",
+            "best",
+            "mean",
+            "best",
+            "mean",
+            "day's best"
+        );
         for kind in EnsembleKind::ALL {
             let of = |pass| self.recall_of(kind, pass, length);
             let (Some(day), Some(night)) = (of(StreetPass::Day2), of(StreetPass::Night)) else {
                 continue;
             };
-            let best = |recall: &KindRecall| recall.best().map_or(0.0, |b| b.recall_at_1);
+            let share = |recall: Option<&EnsembleRecall>| recall.map_or(0.0, |e| e.recall_at_1);
             say!(
-                "  {:<24}{:>10.3}{:>8.3}{:>12.3}{:>8.3}",
+                "  {:<24}{:>10.3}{:>8.3}{:>12.3}{:>8.3}{:>12.3}",
                 format!("{} ({})", kind.title(), day.ensembles.len()),
-                best(day),
+                share(day.best()),
                 day.mean,
-                best(night),
-                night.mean
+                share(night.best()),
+                night.mean,
+                share(self.chosen_by_day(kind, length))
             );
         }
         say!();
@@ -157,7 +181,9 @@ impl Results {
 
     fn show_latency(&self) {
         let latency = &self.latency;
-        let load = latency.load_1min.map_or_else(String::new, |l| format!(", load {l:.2}"));
+        let load = latency
+            .load_1min
+            .map_or_else(String::new, |l| format!(", load {l:.2}"));
         say!(
             "Latency after the end of a tick, ms ({} ticks in real time, {} members, {:.0} k events/s, {} cores{load})",
             latency.ticks,

@@ -17,8 +17,8 @@ pub(crate) const SHARED_MEMORY_LIMIT: u64 = 64 << 20;
 const QUICK: [(&str, &str); 5] = [
     ("height", "60"),
     ("width", "80"),
-    ("length_m", "72.0"),
-    ("speed_m_s", "3.0"),
+    ("length_m", "60.0"),
+    ("speed_m_s", "5.0"),
     ("step", "\"10ms\""),
 ];
 
@@ -34,7 +34,7 @@ pub(crate) struct Setup {
 impl Setup {
     /// Ticks of the run in real time, in which latency is measured.
     pub(crate) fn paced_ticks(&self) -> u32 {
-        if self.quick { 3 } else { 12 }
+        if self.quick { 4 } else { 12 }
     }
 
     /// The configuration as it is run.
@@ -130,7 +130,10 @@ mod tests {
             let paced = setup.paced(map).unwrap();
             let street = |plan: &Plan| plan.source.street.clone().unwrap();
             assert_eq!(street(&mapping).seed, 7);
-            assert_eq!((street(&mapping).pass, street(&night).pass), (StreetPass::Day, StreetPass::Night));
+            assert_eq!(
+                (street(&mapping).pass, street(&night).pass),
+                (StreetPass::Day, StreetPass::Night)
+            );
             assert!(street(&paced).length_m < street(&mapping).length_m);
             assert_eq!(paced.source.pace, Pace::Factor(1.0));
             // Rows of all of them can be compared.

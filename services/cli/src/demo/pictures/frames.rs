@@ -1,6 +1,6 @@
 //! Frames of every method by day and by night: methods down, drives across.
 
-use super::{Canvas, INK, FAINT, LABEL, ORANGE, SKY_BLUE, SMALL, TITLE, canvas, finish, pass_title, text};
+use super::{Canvas, FAINT, INK, LABEL, ORANGE, SKY_BLUE, SMALL, TITLE, canvas, finish, pass_title, text};
 use crate::demo::frames::{Frame, Place};
 use crate::failure::Failure;
 use evpr_core::message::ChannelOrder;
@@ -25,7 +25,10 @@ pub(crate) fn draw(path: &Path, place: &Place) -> Result<(), Failure> {
     let (width, height) = (place.sensor.width * zoom, place.sensor.height * zoom);
     let (columns, rows) = (place.seen.len() as i32, place.methods.len() as i32);
     let (step_x, step_y) = (width as i32 + GAP, height as i32 + ROW_HEAD + GAP);
-    let size = (2 * MARGIN + columns * step_x - GAP, HEAD + rows * step_y - GAP + MARGIN);
+    let size = (
+        2 * MARGIN + columns * step_x - GAP,
+        HEAD + rows * step_y - GAP + MARGIN,
+    );
     let canvas = canvas(path, (size.0.unsigned_abs(), size.1.unsigned_abs()))?;
     let title = format!("One place, as the methods see it within {}", place.window);
     canvas.draw_text(&title, &text(TITLE, INK), (MARGIN, 40))?;
@@ -49,13 +52,20 @@ pub(crate) fn draw(path: &Path, place: &Place) -> Result<(), Failure> {
 }
 
 /// The method's name, and what its colours mean.
-fn legend(canvas: &Canvas<'_>, at: (i32, i32), method: &str, order: Option<ChannelOrder>) -> Result<(), Failure> {
+fn legend(
+    canvas: &Canvas<'_>,
+    at: (i32, i32),
+    method: &str,
+    order: Option<ChannelOrder>,
+) -> Result<(), Failure> {
     let style = text(LABEL, INK);
     canvas.draw_text(method, &style, at)?;
     let (wide, _) = canvas.estimate_text_size(method, &style)?;
     let mut x = at.0 + wide as i32 + 36;
     let colored = match order {
-        Some(ChannelOrder::OffOnZero | ChannelOrder::OnOffZero) => &[("brighter", ORANGE), ("darker", SKY_BLUE)][..],
+        Some(ChannelOrder::OffOnZero | ChannelOrder::OnOffZero) => {
+            &[("brighter", ORANGE), ("darker", SKY_BLUE)][..]
+        }
         _ => &[],
     };
     for (meaning, color) in colored {
@@ -104,7 +114,8 @@ fn color_of(frame: &Frame, pixel: usize) -> [u8; 3] {
 
 fn mixed(on: u8, off: u8) -> [u8; 3] {
     let (RGBColor(r, g, b), RGBColor(s, h, c)) = (ORANGE, SKY_BLUE);
-    let mix = |a: u8, z: u8| ((u32::from(a) * u32::from(on) + u32::from(z) * u32::from(off)) / 255).min(255) as u8;
+    let mix =
+        |a: u8, z: u8| ((u32::from(a) * u32::from(on) + u32::from(z) * u32::from(off)) / 255).min(255) as u8;
     [mix(r, s), mix(g, h), mix(b, c)]
 }
 
@@ -114,14 +125,23 @@ mod tests {
 
     #[test]
     fn polarities_keep_their_colours_whatever_the_order_of_channels() {
-        let frame = |order, pixels: &[u8]| Frame { order, pixels: pixels.to_vec() };
+        let frame = |order, pixels: &[u8]| Frame {
+            order,
+            pixels: pixels.to_vec(),
+        };
         let orange = [ORANGE.0, ORANGE.1, ORANGE.2];
         let sky = [SKY_BLUE.0, SKY_BLUE.1, SKY_BLUE.2];
         assert_eq!(color_of(&frame(ChannelOrder::OffOnZero, &[0, 255, 0]), 0), orange);
         assert_eq!(color_of(&frame(ChannelOrder::OnOffZero, &[255, 0, 0]), 0), orange);
-        assert_eq!(color_of(&frame(ChannelOrder::OffOnZero, &[0, 0, 0, 255, 0, 0]), 1), sky);
+        assert_eq!(
+            color_of(&frame(ChannelOrder::OffOnZero, &[0, 0, 0, 255, 0, 0]), 1),
+            sky
+        );
         assert_eq!(color_of(&frame(ChannelOrder::OnOffZero, &[0, 255, 0]), 0), sky);
         assert_eq!(color_of(&frame(ChannelOrder::Grey, &[7]), 0), [7; 3]);
-        assert_eq!(color_of(&frame(ChannelOrder::OffOnZero, &[255, 255, 0]), 0)[1], 255);
+        assert_eq!(
+            color_of(&frame(ChannelOrder::OffOnZero, &[255, 255, 0]), 0)[1],
+            255
+        );
     }
 }

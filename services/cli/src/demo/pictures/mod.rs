@@ -46,12 +46,17 @@ fn canvas(path: &Path, size: (u32, u32)) -> Result<Canvas<'_>, Failure> {
 
 /// Writes the file.
 fn finish(canvas: &Canvas<'_>, path: &Path) -> Result<(), Failure> {
-    canvas.present().map_err(|e| Failure::new(format!("cannot write {}: {e}", path.display())))
+    canvas
+        .present()
+        .map_err(|e| Failure::new(format!("cannot write {}: {e}", path.display())))
 }
 
 /// Letters of this size and colour, placed by their left and vertical middle.
 fn text(size: u32, color: RGBColor) -> TextStyle<'static> {
-    (FAMILY, size).into_font().color(&color).pos(Pos::new(HPos::Left, VPos::Center))
+    (FAMILY, size)
+        .into_font()
+        .color(&color)
+        .pos(Pos::new(HPos::Left, VPos::Center))
 }
 
 /// As [`text`], placed by their middle.

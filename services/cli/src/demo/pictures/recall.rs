@@ -21,12 +21,18 @@ pub(crate) fn draw(path: &Path, results: &Results) -> Result<(), Failure> {
     let length = results.scene.sequence_length;
     let canvas = canvas(path, SIZE)?;
     let (head, body) = canvas.split_vertically(170);
-    let title = format!("Recall@1 within {} m, sequences of {length} ticks", results.scene.tolerance_m);
+    let title = format!(
+        "Recall@1 within {} m, sequences of {length} ticks",
+        results.scene.tolerance_m
+    );
     head.draw_text(&title, &text(TITLE, INK), (30, 42))?;
     let mut x = 30;
     for pass in PASSES {
         let (style, label) = (text(LABEL, INK), pass_title(pass));
-        head.draw(&Rectangle::new([(x, 84), (x + 26, 110)], pass_color(pass).filled()))?;
+        head.draw(&Rectangle::new(
+            [(x, 84), (x + 26, 110)],
+            pass_color(pass).filled(),
+        ))?;
         head.draw_text(label, &style, (x + 40, 98))?;
         x += 40 + head.estimate_text_size(label, &style)?.0 as i32 + 50;
     }
@@ -62,11 +68,17 @@ pub(crate) fn draw(path: &Path, results: &Results) -> Result<(), Failure> {
                 chart.draw_series(points.iter().map(|at| Circle::new(*at, 7, WHITE.filled())))?;
                 chart.draw_series(points.iter().map(|at| Circle::new(*at, 5, INK.filled())))?;
                 let best = recall.best().map_or(0.0, |b| b.recall_at_1);
-                let label = Text::new(format!("{best:.2}"), (x, best.max(recall.mean) + 0.045), centred(LABEL, INK));
+                let label = Text::new(
+                    format!("{best:.2}"),
+                    (x, best.max(recall.mean) + 0.045),
+                    centred(LABEL, INK),
+                );
                 chart.draw_series(std::iter::once(label))?;
             }
         }
-        let count = results.recall_of(kind, PASSES[0], length).map_or(0, |r| r.ensembles.len());
+        let count = results
+            .recall_of(kind, PASSES[0], length)
+            .map_or(0, |r| r.ensembles.len());
         let (left, bottom) = chart.backend_coord(&(at as f64, 0.0));
         canvas.draw_text(kind.title(), &centred(LABEL, INK), (left, bottom + 30))?;
         canvas.draw_text(&ensembles(count), &centred(SMALL, FAINT), (left, bottom + 62))?;
@@ -92,5 +104,6 @@ fn points(recall: &KindRecall, x: f64) -> Vec<(f64, f64)> {
     let count = recall.ensembles.len().max(1) as f64;
     let along = |i: usize| 0.8 * BAR * ((i as f64 + 0.5) / count - 0.5);
     let each = recall.ensembles.iter().enumerate();
-    each.map(|(i, ensemble)| (x + along(i), ensemble.recall_at_1)).collect()
+    each.map(|(i, ensemble)| (x + along(i), ensemble.recall_at_1))
+        .collect()
 }

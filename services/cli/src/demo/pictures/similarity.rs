@@ -67,9 +67,17 @@ pub(crate) fn draw(path: &Path, recorded: &Recorded, matrix: &ScoreMatrix) -> Re
     });
     chart.draw_series(cells)?;
     let middle = |v: usize| v as f64 + 0.5;
-    let truth = (0..matrix.answers.len()).filter_map(|q| Some((middle(recorded.truth.nearest(q)?.0), middle(q))));
-    chart.draw_series(std::iter::once(PathElement::new(truth.collect::<Vec<_>>(), BLUE.stroke_width(3))))?;
-    let answered = matrix.answers.iter().enumerate().filter_map(|(q, r)| Some((q, (*r)?)));
+    let truth =
+        (0..matrix.answers.len()).filter_map(|q| Some((middle(recorded.truth.nearest(q)?.0), middle(q))));
+    chart.draw_series(std::iter::once(PathElement::new(
+        truth.collect::<Vec<_>>(),
+        BLUE.stroke_width(3),
+    )))?;
+    let answered = matrix
+        .answers
+        .iter()
+        .enumerate()
+        .filter_map(|(q, r)| Some((q, (*r)?)));
     for (query, reference) in answered {
         let at = (middle(reference), middle(query));
         if right(query) {
