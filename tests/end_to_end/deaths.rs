@@ -277,7 +277,18 @@ fn disturbed(
     disturb: impl FnOnce(&mut Running),
 ) -> (Vec<Value>, Said) {
     let query = bench.path("query.txt");
-    let args = ["run", "-q", "-c", text(config), "-i", text(&query), "-m", text(map), "--pace", pace];
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        text(config),
+        "-i",
+        text(&query),
+        "-m",
+        text(map),
+        "--pace",
+        pace,
+    ];
     let mut running = Running::start(bench, &args);
     disturb(&mut running);
     let (answers, said) = running.finish();
@@ -288,8 +299,18 @@ fn disturbed(
 fn undisturbed(bench: &Bench, config: &Path, map: &Path) -> Vec<Value> {
     let out = bench.path("undisturbed.jsonl");
     let query = bench.path("query.txt");
-    let said =
-        bench.run(&["run", "-q", "-c", text(config), "-i", text(&query), "-m", text(map), "-o", text(&out)]);
+    let said = bench.run(&[
+        "run",
+        "-q",
+        "-c",
+        text(config),
+        "-i",
+        text(&query),
+        "-m",
+        text(map),
+        "-o",
+        text(&out),
+    ]);
     assert_eq!(said.code(), 0, "{}", said.stderr);
     read_answers(&out)
 }
@@ -335,7 +356,10 @@ fn a_fuser_that_dies_after_a_stage_died_answers_as_if_nothing_had_been() {
     assert_eq!(said.code(), 0, "{}", said.stderr);
     let wanted = undisturbed(&bench, &config, &map);
     let last_missing = answers.iter().rposition(|a| !complete(a)).unwrap();
-    assert!(last_missing < 100, "the extractors came back too late to tell: {last_missing}");
+    assert!(
+        last_missing < 100,
+        "the extractors came back too late to tell: {last_missing}"
+    );
     for (a, b) in answers.iter().zip(&wanted).skip(last_missing + 5) {
         assert_eq!(timeless(a), timeless(b));
     }
@@ -366,7 +390,11 @@ fn a_member_switched_off_while_ingest_is_away_holds_up_nobody() {
     assert_ticks(&answers, 200);
     for answer in &answers {
         let used = answer["members"].as_array().unwrap().iter().any(|m| m == member);
-        assert_eq!(used, answer["tick"].as_u64().unwrap() < from, "from {from}: {answer}");
+        assert_eq!(
+            used,
+            answer["tick"].as_u64().unwrap() < from,
+            "from {from}: {answer}"
+        );
         assert!(complete(answer), "{answer}");
     }
 }

@@ -110,20 +110,31 @@ impl MatchWriter {
     /// destroys nothing.
     pub(crate) fn open(path: Option<&Path>) -> Result<Self, String> {
         let Some(path) = path else {
-            return Ok(Self { name: "stdout".to_owned(), sink: Sink::Stdout(io::stdout()) });
+            return Ok(Self {
+                name: "stdout".to_owned(),
+                sink: Sink::Stdout(io::stdout()),
+            });
         };
-        let file = File::options().create(true).truncate(false).write(true).open(path);
+        let file = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(path);
         let file = file.map_err(|e| format!("cannot write {}: {e}", path.display()))?;
-        Ok(Self { name: path.display().to_string(), sink: Sink::File(BufWriter::new(file)) })
+        Ok(Self {
+            name: path.display().to_string(),
+            sink: Sink::File(BufWriter::new(file)),
+        })
     }
 
     /// Empties the file, as the run begins.
     pub(crate) fn begin(&mut self) -> Result<(), String> {
         match &self.sink {
             // Pipes and devices cannot be emptied and need not be.
-            Sink::File(file) if file.get_ref().metadata().is_ok_and(|m| m.is_file()) => {
-                file.get_ref().set_len(0).map_err(|e| format!("cannot write {}: {e}", self.name))
-            }
+            Sink::File(file) if file.get_ref().metadata().is_ok_and(|m| m.is_file()) => file
+                .get_ref()
+                .set_len(0)
+                .map_err(|e| format!("cannot write {}: {e}", self.name)),
             _ => Ok(()),
         }
     }
@@ -142,6 +153,8 @@ impl MatchWriter {
             Sink::Stdout(stdout) => stdout,
             Sink::File(file) => file,
         };
-        sink.write_all(text.as_bytes()).and_then(|()| sink.flush()).map_err(|e| failed(&e))
+        sink.write_all(text.as_bytes())
+            .and_then(|()| sink.flush())
+            .map_err(|e| failed(&e))
     }
 }
