@@ -1,5 +1,6 @@
 //! The stage around a method: segments, completeness, windows and members.
 
+use crate::held::Held;
 use crate::method::Method;
 use crate::registry;
 use evpr_core::member::{MAX_EXTRACTORS, MAX_WINDOWS};
@@ -69,9 +70,7 @@ pub struct Reconstruct {
     covering: Vec<Vec<usize>>,
     /// Per window: its members of this reconstruction, each with its extractor.
     members: Vec<Vec<(usize, usize)>>,
-    /// Slot g mod length holds segment g, counted from the start of the recording.
-    slots: Vec<Slot>,
-    under_way: Option<UnderWay>,
+    held: Held,
     epoch: Option<u32>,
     method: Box<dyn Method>,
     /// The slots of the window that is being rendered.
@@ -85,26 +84,10 @@ impl std::fmt::Debug for Reconstruct {
         f.debug_struct("Reconstruct")
             .field("id", &self.id)
             .field("epoch", &self.epoch)
-            .field("under_way", &self.under_way)
+            .field("held", &self.held)
             .field("events", &self.events)
             .finish_non_exhaustive()
     }
-}
-
-/// What a slot holds.
-#[derive(Debug, Clone, Copy, Default)]
-struct Slot {
-    /// The segment that was seen whole, counted from the start of the recording.
-    whole: Option<u64>,
-    /// Events entered.
-    events: u64,
-}
-
-/// The segment under way, whole so far.
-#[derive(Debug, Clone, Copy)]
-struct UnderWay {
-    segment: u64,
-    next_seq: u64,
 }
 
 /// Makes the stage of the plan's reconstruction `reconstruction`.
@@ -146,7 +129,7 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
         .iter()
         .zip(&members)
         .filter(|(_, m)| !m.is_empty());
-    let longest = used.map(|(w, _)| w.len).max().unwrap_or(0);
+    let held = Held::new(&segments, &used.map(|(w, _)| *w).collect::<Vec<_>>());
     Ok(Reconstruct {
         id: r.id.clone(),
         index: reconstruction as u32,
@@ -155,11 +138,10 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
         closing: (0..segments.per_tick()).map(|s| segments.closes(s)).collect(),
         covering,
         members,
-        slots: vec![Slot::default(); longest],
-        under_way: None,
         epoch: None,
-        method: (row.make)(plan.sensor, longest, &r.params).map_err(params)?,
-        rendered: Vec::with_capacity(longest),
+        method: (row.make)(plan.sensor, held.slots(), &r.params).map_err(params)?,
+        rendered: Vec::with_capacity(held.slots()),
+        held,
         segments,
         events: 0,
         outside_sensor: 0,
@@ -252,36 +234,26 @@ impl Reconstruct {
             Some(epoch) if header.epoch == epoch => {}
             _ => {
                 self.epoch = Some(header.epoch);
-                self.under_way = None;
-                self.slots.fill(Slot::default());
+                self.held.forget();
             }
         }
         let segment = self.segment_of(header);
         if segment.is_err() {
-            self.under_way = None;
+            self.held.break_off();
         }
         segment
     }
 
-    /// The slot of a segment; only asked where there is one.
-    fn slot_of(&self, segment: u64) -> usize {
-        (segment % self.slots.len().max(1) as u64) as usize
-    }
-
     /// Begins a segment, if an enabled member wants it.
     fn open(&mut self, header: &ChunkHeader, segment: u64) {
-        self.under_way = None;
         let covering = &self.covering[header.segment as usize];
         if !covering.iter().any(|member| header.members.contains(*member)) {
+            self.held.break_off();
             return;
         }
-        let slot = self.slot_of(segment);
-        self.slots[slot] = Slot::default();
-        self.method.clear(slot);
-        self.under_way = Some(UnderWay {
-            segment,
-            next_seq: header.stamp.seq,
-        });
+        if let Some(slot) = self.held.open(segment, header.stamp.seq) {
+            self.method.clear(slot);
+        }
     }
 
     /// Enters a chunk's events, as long as its segment is whole so far.
@@ -289,43 +261,16 @@ impl Reconstruct {
         if header.opens_segment() {
             self.open(header, segment);
         }
-        let seq = header.stamp.seq;
-        let whole = |u: &UnderWay| u.segment == segment && u.next_seq == seq;
-        self.under_way = self.under_way.filter(whole);
-        let Some(under_way) = &mut self.under_way else {
+        let Some(slot) = self.held.slot_for(segment, header.stamp.seq) else {
             return;
         };
-        under_way.next_seq = seq.wrapping_add(1);
-        let slot = self.slot_of(segment);
         let entered = self.method.accumulate(slot, events, header.base_us) as u64;
         self.events += entered;
         self.outside_sensor += events.len() as u64 - entered;
-        self.slots[slot].events += entered;
+        self.held.add(segment, entered);
         if header.closes_segment() {
-            self.slots[slot].whole = Some(segment);
-            self.under_way = None;
+            self.held.close(segment);
         }
-    }
-
-    /// Puts a window together that ends with segment `last`: its slots into `self.rendered`. Gives the number of
-    /// events, or why there is no image.
-    fn gather(&mut self, window: usize, last: u64) -> Result<u64, Reason> {
-        let len = self.segments.windows[window].len as u64;
-        let first = (last + 1).checked_sub(len).ok_or(Reason::BeforeStart)?;
-        self.rendered.clear();
-        let mut events = 0;
-        for segment in first..=last {
-            let slot = self.slot_of(segment);
-            if self.slots[slot].whole != Some(segment) {
-                return Err(Reason::IncompleteWindow);
-            }
-            self.rendered.push(slot);
-            events += self.slots[slot].events;
-        }
-        if events == 0 {
-            return Err(Reason::EmptyWindow);
-        }
-        Ok(events)
     }
 
     /// The extractors that want a window, as bits.
@@ -348,7 +293,11 @@ impl Reconstruct {
             if header.closes >> window & 1 == 0 || extractors == 0 {
                 continue;
             }
-            let gathered = all.map_or_else(|| self.gather(window, segment), Err);
+            let len = self.segments.windows[window].len;
+            let gathered = match all {
+                Some(reason) => Err(reason),
+                None => self.held.window(segment, len, &mut self.rendered),
+            };
             let mut frame = FrameHeader {
                 tick: header.tick,
                 epoch: header.epoch,
@@ -399,12 +348,7 @@ impl Stage for Reconstruct {
         outlet: &mut dyn Outlet<Frames>,
     ) -> Result<(), StageError> {
         let segment = self.admit(header)?;
-        self.under_way = None;
-        for slot in &mut self.slots {
-            if slot.whole == Some(segment) {
-                *slot = Slot::default();
-            }
-        }
+        self.held.drop_segment(segment);
         self.close(header, segment, Some(Reason::Dropped), outlet)
     }
 

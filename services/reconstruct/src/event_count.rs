@@ -14,6 +14,9 @@ pub(crate) struct EventCount {
     counters: Counters<true>,
     /// tanh of every count.
     tanh: [f32; 256],
+    /// The levels of the frame before, and the largest counts they are for: those of most frames.
+    levels: Levels,
+    levels_for: [u8; 2],
 }
 
 impl EventCount {
@@ -22,6 +25,8 @@ impl EventCount {
         Self {
             counters: Counters::new(sensor, slots),
             tanh: std::array::from_fn(|count| (count as f32).tanh()),
+            levels: Levels::new(|_| 0, |_| 0),
+            levels_for: [0; 2],
         }
     }
 }
@@ -49,12 +54,14 @@ impl Method for EventCount {
 
     fn render(&mut self, slots: &[usize], out: &mut [u8]) {
         let counts = self.counters.sum(slots);
-        let [off, on] = largest(counts, SETTLED).map(|n| if n < SETTLED { n } else { u8::MAX });
-        let levels = Levels::new(
-            |count| level(&self.tanh, off, count),
-            |count| level(&self.tanh, on, count),
-        );
-        render_pairs(counts, out, |counts, out| levels.apply(counts, out));
+        let largest = largest(counts, SETTLED).map(|n| if n < SETTLED { n } else { u8::MAX });
+        if largest != self.levels_for {
+            let tanh = &self.tanh;
+            let map = |largest| move |count| level(tanh, largest, count);
+            self.levels = Levels::new(map(largest[0]), map(largest[1]));
+            self.levels_for = largest;
+        }
+        render_pairs(counts, out, |counts, out| self.levels.apply(counts, out));
     }
 }
 
@@ -92,5 +99,25 @@ mod tests {
         let mut out = [9; 6];
         m.render(&[0], &mut out);
         assert_eq!(out, [0, 0, 0, 0, 254, 0]);
+    }
+
+    /// The levels kept from one frame do not show in the next, whose largest count is another.
+    #[test]
+    fn frames_of_different_largest_counts_follow_each_other() {
+        let mut m = EventCount::new(Sensor { height: 1, width: 1 }, 3);
+        let (off, on) = (Event::new(0, 0, 0, false), Event::new(0, 0, 0, true));
+        m.accumulate(0, &[off], 0);
+        m.accumulate(1, &[on; 9], 0);
+        m.accumulate(1, &[off; 2], 0);
+        let mut out = [9; 3];
+        for (slot, expected) in [
+            (0, [254, 0, 0]),
+            (1, [254, 254, 0]),
+            (2, [0; 3]),
+            (0, [254, 0, 0]),
+        ] {
+            m.render(&[slot], &mut out);
+            assert_eq!(out, expected, "slot {slot}");
+        }
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! One [`Reconstruct`] is one method of the plan with all its windows. The edges of all windows cut the tick into
 //! segments; every event is entered once, into its segment, and a window is put together from its segments when it
-//! closes. So all windows, both polarities and any alignment cost one pass over the events.
+//! closes. (Where all windows begin with their tick, the segments so far share one slot, and are the window.) So all windows, both polarities and any alignment cost one pass over the events.
 //!
 //! A method is one file and one row of the `registry`: it knows how to enter events into a slot and how to
 //! render consecutive slots; segments, completeness and members are the driver's affair.
@@ -12,6 +12,7 @@ mod decay;
 mod driver;
 mod event_count;
 mod event_count_no_polarity;
+mod held;
 mod method;
 mod pixels;
 mod registry;
