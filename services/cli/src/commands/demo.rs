@@ -3,7 +3,7 @@
 use crate::args::DemoArgs;
 use crate::demo::folder::{self, ReportFolder};
 use crate::demo::frames;
-use crate::demo::graph::{Drive, Driven, drive};
+use crate::demo::graph::{Drive, Driven, Signals, drive};
 use crate::demo::latency;
 use crate::demo::matrix::{self, ScoreMatrix};
 use crate::demo::page;
@@ -98,10 +98,11 @@ fn drive_all(
     show: Show,
 ) -> Result<Result<DrivenAll, ExitCode>, Failure> {
     let map = folder.traverse(StreetPass::Day);
+    let signals = Signals::take()?;
     let run = |plan: &Plan, matches: Option<StreetPass>, what: &str| {
         show.step(what);
         let matches = matches.map(|pass| folder.matches(pass));
-        drive(plan, matches.as_deref(), show.quiet, "  ")
+        drive(&signals, plan, matches.as_deref(), show.quiet, "  ")
     };
     let mapping = setup.mapping(&map)?;
     let mapped = match run(&mapping, None, "mapping the street by day")? {

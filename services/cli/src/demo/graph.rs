@@ -9,8 +9,11 @@ use evpr_core::message::{Candidate, MatchHeader};
 use evpr_core::plan::ServiceKind;
 use evpr_runtime::{Hooks, Outcome, Progress, RunSummary};
 use indicatif::ProgressBar;
+use signal_hook::consts::{SIGINT, SIGTERM};
 use std::path::Path;
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// What a drive through the graph came to.
@@ -63,12 +66,40 @@ impl Hooks for Watch<'_> {
     }
 }
 
+/// What Ctrl-C and SIGTERM do. While the graph runs it ends in an orderly way; at all other times the command ends at
+/// once, which it would not by itself: who has listened for a signal once has no default any more.
+#[derive(Debug)]
+pub(crate) struct Signals {
+    at_once: Arc<AtomicBool>,
+}
+
+impl Signals {
+    /// Takes the signals over.
+    ///
+    /// # Errors
+    /// When the system refuses it.
+    pub(crate) fn take() -> Result<Self, Failure> {
+        let at_once = Arc::new(AtomicBool::new(true));
+        for signal in [SIGINT, SIGTERM] {
+            signal_hook::flag::register_conditional_default(signal, Arc::clone(&at_once))
+                .map_err(|e| Failure::new(format!("cannot listen for signals: {e}")))?;
+        }
+        Ok(Self { at_once })
+    }
+}
+
 /// Runs a plan to its end. Answers also go to the file `matches`, where there is one. `what` is the text of the
 /// progress bar.
 ///
 /// # Errors
 /// When the graph cannot be started or one of its processes fails for good.
-pub(crate) fn drive(plan: &Plan, matches: Option<&Path>, quiet: bool, what: &str) -> Result<Driven, Failure> {
+pub(crate) fn drive(
+    signals: &Signals,
+    plan: &Plan,
+    matches: Option<&Path>,
+    quiet: bool,
+    what: &str,
+) -> Result<Driven, Failure> {
     let writer = matches.map(|path| MatchWriter::open(Some(path))).transpose();
     let mut watch = Watch {
         plan,
@@ -77,7 +108,9 @@ pub(crate) fn drive(plan: &Plan, matches: Option<&Path>, quiet: bool, what: &str
         answers: Vec::new(),
     };
     let start = Instant::now();
+    signals.at_once.store(false, Ordering::Release);
     let summary = run_graph(plan, true, &mut watch);
+    signals.at_once.store(true, Ordering::Release);
     watch.bar.finish_and_clear();
     let summary = summary?;
     match summary.outcome {

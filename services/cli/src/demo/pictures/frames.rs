@@ -62,18 +62,24 @@ fn legend(
     canvas.draw_text(method, &style, at)?;
     let (wide, _) = canvas.estimate_text_size(method, &style)?;
     let mut x = at.0 + wide as i32 + 36;
-    let colored = match order {
-        Some(ChannelOrder::OffOnZero | ChannelOrder::OnOffZero) => {
-            &[("brighter", ORANGE), ("darker", SKY_BLUE)][..]
-        }
+    let meanings = match order {
+        Some(ChannelOrder::OffOnZero | ChannelOrder::OnOffZero) => &[
+            ("brighter", Some(ORANGE)),
+            ("darker", Some(SKY_BLUE)),
+            ("white: both", None),
+        ][..],
+        Some(ChannelOrder::Grey) => &[("lighter: more", None)],
         _ => &[],
     };
-    for (meaning, color) in colored {
-        let square = [(x, at.1 - 10), (x + 22, at.1 + 12)];
-        canvas.draw(&Rectangle::new(square, color.filled()))?;
-        let style = text(SMALL, FAINT);
-        canvas.draw_text(meaning, &style, (x + 32, at.1))?;
-        x += 32 + canvas.estimate_text_size(meaning, &style)?.0 as i32 + 30;
+    let style = text(SMALL, FAINT);
+    for (meaning, color) in meanings {
+        if let Some(color) = color {
+            let square = [(x, at.1 - 10), (x + 22, at.1 + 12)];
+            canvas.draw(&Rectangle::new(square, color.filled()))?;
+            x += 32;
+        }
+        canvas.draw_text(meaning, &style, (x, at.1))?;
+        x += canvas.estimate_text_size(meaning, &style)?.0 as i32 + 30;
     }
     Ok(())
 }

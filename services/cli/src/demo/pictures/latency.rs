@@ -46,7 +46,7 @@ pub(crate) fn draw(path: &Path, latency: &Latency) -> Result<(), Failure> {
         .configure_mesh()
         .disable_y_mesh()
         .disable_y_axis()
-        .light_line_style(WHITE)
+        .light_line_style(RGBColor(0xf1, 0xf2, 0xf4))
         .bold_line_style(GRID)
         .axis_style(FAINT)
         .label_style(text(SMALL, INK))
@@ -62,9 +62,9 @@ pub(crate) fn draw(path: &Path, latency: &Latency) -> Result<(), Failure> {
         let median = PathElement::new([(at, y - HALF), (at, y + HALF)], VERMILLION.stroke_width(5));
         chart.draw_series(std::iter::once(median))?;
         let (left, middle) = chart.backend_coord(&(low, y));
-        canvas.draw_text(stage.stage, &right, (left - 20, middle - 4))?;
+        canvas.draw_text(stage.stage, &right, (left - 20, middle + 4))?;
         for (ms, x) in [median_ms, slowest_ms].into_iter().zip(numbers) {
-            canvas.draw_text(&format!("{ms:.2}"), &right, (x, middle - 4))?;
+            canvas.draw_text(&format!("{ms:.2}"), &right, (x, middle + 4))?;
         }
     }
     finish(&canvas, path)
@@ -77,8 +77,9 @@ fn decades(latency: &Latency) -> (f64, f64) {
         let ms = (us / 1e3).clamp(1e-3, 1e5);
         (low.min(ms), high.max(ms))
     });
+    // A hair more, so that the ends have their labels.
     (
-        10f64.powf(low.log10().floor()),
+        0.999 * 10f64.powf(low.log10().floor()),
         10f64.powf((high * 1.001).log10().ceil()),
     )
 }
