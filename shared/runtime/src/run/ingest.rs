@@ -29,6 +29,8 @@ struct Port {
     end: Option<TickHeader>,
     /// The tick at which the stream ends, whatever the source still has.
     end_tick: Option<u64>,
+    /// Requests to stop before the end was sent.
+    stops_at_end: u32,
 }
 
 impl IngestPort for Port {
@@ -68,6 +70,8 @@ impl IngestPort for Port {
         }
         if ends {
             self.end = Some(header);
+            // Looked at before the end goes out: once it is out, the supervisor may ask this process to go.
+            self.stops_at_end = self.ctx.stop.count();
         }
         self.ticks
             .emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
@@ -157,11 +161,16 @@ pub fn run_ingest(
         version: 0,
         end: None,
         end_tick,
+        stops_at_end: 0,
     };
     port.ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!("ready");
     let outcome = work(&mut port);
-    let stopped_by = port.ctx.stop.count();
+    let stopped_by = if port.end.is_some() {
+        port.stops_at_end
+    } else {
+        port.ctx.stop.count()
+    };
     let phase = if stopped_by > 0 {
         ServicePhase::Stopped
     } else {
