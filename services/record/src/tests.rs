@@ -183,6 +183,7 @@ fn a_dead_members_ticks_are_holes() {
     assert_eq!(r.next_tick(), 1);
     let mut states = vec![ServiceState::default(); 5];
     states[1].dead_through = 1;
+    states[1].health = evpr_core::message::ServiceHealth::Restarting as u32;
     r.lifecycle(&states);
     settle(&mut r, 0);
     assert_eq!(r.next_tick(), 3);
