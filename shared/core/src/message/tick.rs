@@ -87,7 +87,7 @@ impl Default for TickHeader {
 
 header!(TickHeader, tick: tick);
 
-/// Tick messages; the payload is a weight per member (f64) with [`TickKind::Open`], else one 0.
+/// Tick messages; the payload is a weight per member (f64) with [`TickKind::Open`] and is empty otherwise.
 #[derive(Debug)]
 pub struct Ticks;
 
