@@ -1,13 +1,13 @@
 //! The driver: recording, screen, slicer and pace, run as one.
 
-use crate::event::seconds;
 use crate::pace::Pace;
 use crate::placed::Placed;
 use crate::reader::{Batch, Reader, next_screened};
-use crate::{RawEvent, Recording, Screen, ScreenTally, SliceTally, Slicer, SourceError, source};
+use crate::{RawEvent, Screen, ScreenTally, SliceTally, Slicer, SourceError, source};
 use crossbeam::channel::{Receiver, TryRecvError};
 use evpr_core::plan::{self, OnBadEvent, Plan};
 use evpr_core::stage::{IngestPort, StageError};
+use evpr_events::{Recording, seconds};
 
 /// What a run of ingest came to.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]

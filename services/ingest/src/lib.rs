@@ -1,15 +1,12 @@
 //! Ingest: reads a recording, checks its events, and cuts them into ticks, segments and chunks.
 //!
-//! The way of an event: a [`source::Recording`] decodes it, the [`Screen`] checks it against the sensor and the
+//! The way of an event: an [`evpr_events::Recording`] decodes it, the [`Screen`] checks it against the sensor and the
 //! order of time, and the [`Slicer`] puts it into its segment. [`Ingest`] runs the three, decoding ahead on a
-//! thread of its own, and paces the replay. [`info`] looks at a recording without cutting it.
+//! thread of its own, and paces the replay.
 
 mod driver;
 #[cfg(test)]
 mod driver_tests;
-mod error;
-mod event;
-mod info;
 mod pace;
 mod placed;
 mod reader;
@@ -22,9 +19,9 @@ pub mod source;
 mod testing;
 
 pub use driver::{Ingest, IngestSummary};
-pub use error::SourceError;
-pub use event::{BATCH_EVENTS, MAX_TIME_NS, RawEvent};
-pub use info::{RecordingInfo, info};
+pub use evpr_events::SourceError;
 pub use screen::{Screen, ScreenTally};
 pub use slicer::{MAX_GAP_TICKS, SliceTally, Slicer};
-pub use source::{Recording, SourceInfo, Trajectory, open, probe};
+pub use source::{open, probe};
+
+use evpr_events::{MAX_TIME_NS, RawEvent};

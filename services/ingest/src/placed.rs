@@ -1,8 +1,8 @@
 //! Positions: fills in where the camera was when a tick opens, on the way to the port.
 
-use crate::Trajectory;
 use evpr_core::message::{ChunkHeader, Event, MemberSetting, TickHeader, TickKind};
 use evpr_core::stage::{IngestPort, StageError};
+use evpr_events::Trajectory;
 
 /// A port behind which the openings of ticks carry a position.
 ///

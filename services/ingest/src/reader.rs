@@ -1,8 +1,9 @@
 //! The reader: a thread that decodes and screens ahead of the slicer, through two bounded channels: batches go
 //! one way, and come back to be filled again.
 
-use crate::{BATCH_EVENTS, RawEvent, Recording, Screen, ScreenTally, SourceError};
+use crate::{RawEvent, Screen, ScreenTally, SourceError};
 use crossbeam::channel::{Receiver, Sender, bounded};
+use evpr_events::{BATCH_EVENTS, Recording};
 use std::thread::JoinHandle;
 
 /// Batches that may wait for the slicer.

@@ -132,7 +132,7 @@ impl Screen {
                 OnBadEvent::Error => {
                     let what = format!(
                         "goes back in time: the one before it is at {}; leave such events out or move them with source.on_backward_time = \"drop\" or \"clamp\"",
-                        crate::event::seconds(self.latest_ns)
+                        evpr_events::seconds(self.latest_ns)
                     );
                     return Err(self.refuse(event, what));
                 }

@@ -5,12 +5,12 @@
 //! nanoseconds. Chunks do not cross segments; where they are cut within one does not depend on how the events were
 //! handed in, but for [`Slicer::flush`].
 
-use crate::event::{rough_seconds, seconds};
 use crate::{MAX_TIME_NS, RawEvent};
 use evpr_core::MemberSet;
 use evpr_core::message::{ChunkHeader, Event, TickHeader, TickKind};
 use evpr_core::plan::{Delivery, Origin, Plan, SegmentPlan, SliceMode};
 use evpr_core::stage::{IngestPort, StageError};
+use evpr_events::{rough_seconds, seconds};
 
 /// Most ticks that time may jump ahead by, from one event to the next: more is taken for a damaged time.
 pub const MAX_GAP_TICKS: u64 = 100_000;

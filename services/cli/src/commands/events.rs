@@ -9,10 +9,10 @@ use crate::progress;
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
 use evpr_core::message::{ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader, TickKind};
-use evpr_core::plan::{Align, Origin, Sensor, Source, TimeUnit};
+use evpr_core::plan::{Align, Origin, Sensor, Source};
 use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_core::time::format_duration;
-use evpr_ingest::RecordingInfo;
+use evpr_events::{ReadOptions, RecordingInfo};
 use evpr_runtime::Progress;
 use indicatif::ProgressBar;
 use std::fmt::Write;
@@ -29,7 +29,7 @@ pub(crate) fn events(command: EventsCommand) -> Result<ExitCode, Failure> {
 
 fn info(args: &EventsInfoArgs) -> Result<ExitCode, Failure> {
     let bar = progress::bar(args.json, "reading");
-    let info = evpr_ingest::info(&args.input, TimeUnit::Auto, None, &mut |permille| {
+    let info = evpr_events::info(&args.input, &ReadOptions::default(), &mut |permille| {
         bar.set_position(permille);
     })?;
     bar.finish_and_clear();

@@ -120,9 +120,10 @@ pub enum Pace {
 }
 
 /// Unit of times in text recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TimeUnit {
+    #[default]
     /// A decimal point means seconds, else decided by magnitude; said in the log.
     Auto,
     /// Seconds.

@@ -22,10 +22,9 @@ mod strip;
 mod tests;
 mod view;
 
-use super::{Recording, SourceInfo, Trajectory};
-use crate::{BATCH_EVENTS, RawEvent, SourceError};
 use drive::Drive;
 use evpr_core::plan::{self, Sensor};
+use evpr_events::{BATCH_EVENTS, RawEvent, Recording, SourceError, SourceInfo, Trajectory};
 use simulator::Simulator;
 use std::path::{Path, PathBuf};
 

@@ -11,10 +11,8 @@
 
 use super::decimal::{DecimalError, parse_ns};
 use super::lines::Lines;
-use super::{Recording, SourceInfo};
-use crate::{BATCH_EVENTS, RawEvent, SourceError};
+use crate::{BATCH_EVENTS, Input, RawEvent, Recording, SourceError, SourceInfo};
 use evpr_core::plan::{Sensor, TimeUnit};
-use std::path::{Path, PathBuf};
 
 /// Most columns in a line.
 const MAX_COLUMNS: usize = 32;
@@ -41,7 +39,6 @@ struct Columns {
 
 /// See the module.
 pub(super) struct Text {
-    path: PathBuf,
     lines: Lines,
     columns: Columns,
     unit: TimeUnit,
@@ -50,7 +47,7 @@ pub(super) struct Text {
 }
 
 impl Text {
-    pub(super) fn open(path: &Path, unit: TimeUnit) -> Result<Self, SourceError> {
+    pub(super) fn open(input: Input, unit: TimeUnit) -> Result<Self, SourceError> {
         let columns = Columns {
             count: 4,
             t: 0,
@@ -58,10 +55,8 @@ impl Text {
             y: 2,
             p: 3,
         };
-        let lines = Lines::open(path)?;
         let mut text = Self {
-            path: path.to_owned(),
-            lines,
+            lines: Lines::new(input),
             columns,
             unit,
             unit_from: "config",
@@ -109,13 +104,16 @@ impl Text {
                 }
             }
         }
-        Err(SourceError::malformed(&self.path, "holds no events"))
+        Err(SourceError::malformed(
+            self.lines.input().path(),
+            "holds no events",
+        ))
     }
 
     /// What is wrong with the line that was read last.
     fn wrong(&self, what: String) -> SourceError {
         SourceError::Line {
-            path: self.path.clone(),
+            path: self.lines.input().path().to_owned(),
             line: self.lines.number(),
             what,
         }
@@ -341,7 +339,7 @@ impl Recording for Text {
         out.clear();
         let unit_digits = digits(self.unit).unwrap_or(0);
         let columns = self.columns;
-        while out.len() < BATCH_EVENTS {
+        while out.len() < BATCH_EVENTS && (out.is_empty() || self.lines.is_ready()) {
             let Some(line) = self.lines.next()? else { break };
             let line = self.lines.bytes(line);
             let mut fields = [&[][..]; MAX_COLUMNS];
@@ -372,7 +370,7 @@ impl Recording for Text {
         };
         SourceInfo {
             format: "text",
-            path: self.path.clone(),
+            path: self.lines.input().path().to_owned(),
             time_unit,
             time_unit_from: self.unit_from,
             events: None,

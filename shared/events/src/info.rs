@@ -1,9 +1,8 @@
 //! What is in a recording, in one pass.
 
-use crate::source::open_path;
-use crate::{BATCH_EVENTS, RawEvent, SourceError, SourceInfo};
+use crate::{BATCH_EVENTS, RawEvent, ReadOptions, Skipped, SourceError, SourceInfo, open};
 use evpr_core::message::Event;
-use evpr_core::plan::{Sensor, TimeUnit};
+use evpr_core::plan::Sensor;
 use std::path::Path;
 
 /// Length of the bins that the peak rate is taken over, ns.
@@ -44,6 +43,8 @@ pub struct RecordingInfo {
     pub max_x: u16,
     /// Largest row.
     pub max_y: u16,
+    /// What else was in it.
+    pub skipped: Vec<Skipped>,
 }
 
 #[derive(Default)]
@@ -93,19 +94,18 @@ impl Totals {
     }
 }
 
-/// Reads a recording through and counts. `sensor` takes precedence over what the recording says; `time_unit` is for
-/// text. `progress` is told the permille read, after each batch.
+/// Reads a recording through and counts. A sensor among the options takes precedence over what the recording says.
+/// `progress` is told the permille read, after each batch.
 ///
 /// # Errors
 /// When the recording cannot be opened or read to its end.
 pub fn info(
     path: &Path,
-    time_unit: TimeUnit,
-    sensor: Option<Sensor>,
+    options: &ReadOptions,
     progress: &mut dyn FnMut(u64),
 ) -> Result<RecordingInfo, SourceError> {
-    let mut recording = open_path(path, time_unit)?;
-    let sensor = sensor.or(recording.sensor());
+    let mut recording = open(path, options)?;
+    let sensor = options.sensor.or(recording.sensor());
     let mut totals = Totals::default();
     let mut batch = Vec::with_capacity(BATCH_EVENTS);
     while recording.next_batch(&mut batch)? {
@@ -135,5 +135,6 @@ pub fn info(
         outside_sensor: sensor.map(|_| totals.outside),
         max_x: totals.max.0,
         max_y: totals.max.1,
+        skipped: recording.skipped(),
     })
 }

@@ -20,11 +20,11 @@ pub struct RawEvent {
 }
 
 /// A time for a person: seconds with all nine digits.
-pub(crate) fn seconds(t_ns: u64) -> String {
+pub fn seconds(t_ns: u64) -> String {
     format!("{}.{:09} s", t_ns / 1_000_000_000, t_ns % 1_000_000_000)
 }
 
 /// A length of time for a person, to the millisecond.
-pub(crate) fn rough_seconds(t_ns: u64) -> String {
+pub fn rough_seconds(t_ns: u64) -> String {
     format!("{}.{:03} s", t_ns / 1_000_000_000, t_ns / 1_000_000 % 1_000)
 }

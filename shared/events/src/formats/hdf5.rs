@@ -3,8 +3,7 @@
 //!
 //! Polarities are 0 and 1; where they are signed, -1 and 0 both mean OFF.
 
-use super::{Recording, SourceInfo};
-use crate::{BATCH_EVENTS, RawEvent, SourceError};
+use crate::{BATCH_EVENTS, RawEvent, Recording, SourceError, SourceInfo};
 use evpr_core::plan::Sensor;
 use hdf5_reader::group::Group;
 use hdf5_reader::{Dataset, Datatype, H5Type, Hdf5File, OpenOptions, SliceInfo, SliceInfoElem};

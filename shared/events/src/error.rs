@@ -71,7 +71,8 @@ pub enum SourceError {
 }
 
 impl SourceError {
-    pub(crate) fn read(path: &Path, error: std::io::Error) -> Self {
+    /// An error of the system as one about this recording.
+    pub fn read(path: &Path, error: std::io::Error) -> Self {
         let path = path.to_owned();
         match error.kind() {
             std::io::ErrorKind::NotFound => Self::Missing { path },
@@ -81,7 +82,8 @@ impl SourceError {
         }
     }
 
-    pub(crate) fn malformed(path: &Path, what: impl Into<String>) -> Self {
+    /// The file as a whole is not as its format wants it.
+    pub fn malformed(path: &Path, what: impl Into<String>) -> Self {
         Self::Malformed {
             path: path.to_owned(),
             what: what.into(),

@@ -1,0 +1,160 @@
+//! The formats, one file each, and the registry that finds the right one.
+
+mod decimal;
+mod hdf5;
+mod lines;
+mod text;
+
+use crate::{Input, Recording, SourceError};
+use evpr_core::plan::{Sensor, TimeUnit};
+use std::path::Path;
+
+/// Bytes by which a format is known.
+const HEAD_BYTES: usize = 4096;
+
+/// What a reader needs to be told where the recording itself does not say it.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct ReadOptions {
+    /// Unit of times; counts for text, NumPy and Parquet.
+    pub time_unit: TimeUnit,
+    /// Which stream or topic of events to read where there are several; else the first one.
+    pub stream: Option<String>,
+    /// Size of the sensor, where the caller knows it.
+    pub sensor: Option<Sensor>,
+}
+
+/// Where the HDF5 signature may stand: at the start, or behind a user block of these sizes.
+const HDF5_SIGNATURE_AT: [usize; 4] = [0, 512, 1024, 2048];
+const HDF5_SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
+
+fn is_hdf5(head: &[u8]) -> bool {
+    let at = |at: &usize| head.get(*at..).is_some_and(|b| b.starts_with(HDF5_SIGNATURE));
+    HDF5_SIGNATURE_AT.iter().any(at)
+}
+
+fn is_text(head: &[u8]) -> bool {
+    !head.contains(&0)
+}
+
+type Opened = Result<Box<dyn Recording>, SourceError>;
+
+/// How a format is opened.
+enum Open {
+    /// From its bytes in order: also from a pipe, or inside gzip or zip.
+    Stream(fn(Input, &ReadOptions) -> Opened),
+    /// By its path: it is read in any order.
+    File(fn(&Path, &ReadOptions) -> Opened),
+}
+
+/// A format: one row of the registry.
+struct Format {
+    /// Endings of file names, without the point, in lower case.
+    extensions: &'static [&'static str],
+    detects: fn(&[u8]) -> bool,
+    /// Whether `detects` is sure: otherwise a known ending of another format speaks against it.
+    conclusive: bool,
+    open: Open,
+    /// What is wrong with a file of this ending that is not of this format.
+    otherwise: &'static str,
+}
+
+/// All formats; the first that knows the content takes it.
+static FORMATS: [Format; 2] = [
+    Format {
+        extensions: &["h5", "hdf5", "he5"],
+        detects: is_hdf5,
+        conclusive: true,
+        open: Open::File(|path, _| Ok(Box::new(hdf5::Hdf5::open(path)?))),
+        otherwise: "has the ending of an HDF5 file but not its signature; it is damaged or of another format",
+    },
+    Format {
+        extensions: &["txt", "csv", "tsv"],
+        detects: is_text,
+        conclusive: false,
+        open: Open::Stream(|input, options| Ok(Box::new(text::Text::open(input, options.time_unit)?))),
+        otherwise: "has the ending of a text file but is not text",
+    },
+];
+
+/// Formats that are known by their first bytes, and not read.
+static UNREADABLE: [(&[u8], &str); 9] = [
+    (b"#!AER-DAT", "AEDAT"),
+    (b"% ", "Prophesee RAW or DAT"),
+    (b"#ROSBAG", "rosbag"),
+    (b"\x89MCAP0", "MCAP"),
+    (b"PAR1", "Parquet"),
+    (b"\x93NUMPY", "NumPy"),
+    (b"PK\x03\x04", "zip"),
+    (b"\x1f\x8b", "gzip"),
+    (
+        b"version https://git-lfs",
+        "a Git LFS pointer, not the file itself",
+    ),
+];
+
+/// Opens a recording. Its format is known by its content; where that is not conclusive, by its name's ending.
+///
+/// # Errors
+/// One line, when it does not exist, cannot be read, is empty or of no known format, or holds no events.
+pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
+    open_known(Input::open(path)?, Some(path), options)
+}
+
+/// Opens a recording that comes as bytes in order. Formats that are read in any order are refused.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_input(input: Input, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
+    open_known(input, None, options)
+}
+
+/// `file` is the path when the bytes of `input` are just those of that file.
+fn open_known(mut input: Input, file: Option<&Path>, options: &ReadOptions) -> Opened {
+    let path = input.path().to_owned();
+    // A live stream may have sent only a little yet: it is known by its first bytes.
+    let len = if file.is_some() { HEAD_BYTES } else { 1 };
+    let head = input.peek(len)?;
+    let head = &head[..head.len().min(HEAD_BYTES)];
+    if head.is_empty() {
+        return Err(SourceError::malformed(
+            &path,
+            "is empty (0 bytes); it holds no events",
+        ));
+    }
+    if let Some((_, name)) = UNREADABLE.iter().find(|(magic, _)| head.starts_with(magic)) {
+        return Err(SourceError::malformed(
+            &path,
+            format!("is {name}; this build reads HDF5 in the NSAVP layout, and text"),
+        ));
+    }
+    let extension = path
+        .extension()
+        .map(|e| e.to_string_lossy().to_lowercase())
+        .unwrap_or_default();
+    let named = FORMATS
+        .iter()
+        .find(|f| f.extensions.contains(&extension.as_str()));
+    let found = match (FORMATS.iter().find(|f| (f.detects)(head)), named) {
+        // A guess does not overrule the name.
+        (Some(found), Some(named)) if !std::ptr::eq(found, named) && !found.conclusive => {
+            return Err(SourceError::malformed(&path, named.otherwise));
+        }
+        (Some(found), _) => found,
+        (None, Some(named)) => return Err(SourceError::malformed(&path, named.otherwise)),
+        (None, None) => {
+            return Err(SourceError::malformed(
+                &path,
+                "is of no known format; this build reads HDF5 in the NSAVP layout, and text lines \"t x y p\"",
+            ));
+        }
+    };
+    match (&found.open, file) {
+        (Open::Stream(open), _) => open(input, options),
+        (Open::File(open), Some(path)) => open(path, options),
+        (Open::File(_), None) => Err(SourceError::malformed(
+            &path,
+            "is of a format that is read in any order, but its bytes come one after another here; \
+             unpack it into a file first",
+        )),
+    }
+}

@@ -1,0 +1,19 @@
+//! Recordings of event cameras, one file per format.
+//!
+//! [`open`] knows a recording's format by its content and gives a [`Recording`], which decodes it batch by batch:
+//! memory does not grow with the recording. What arrives is never trusted: every length is capped and every failure is
+//! one line ([`SourceError`]). Coordinates and the order of time are checked later, by whoever knows the sensor.
+
+mod error;
+mod event;
+pub mod formats;
+mod info;
+mod input;
+mod recording;
+
+pub use error::SourceError;
+pub use event::{BATCH_EVENTS, MAX_TIME_NS, RawEvent, rough_seconds, seconds};
+pub use formats::{ReadOptions, open, open_input};
+pub use info::{RecordingInfo, info};
+pub use input::Input;
+pub use recording::{Recording, Skipped, SourceInfo, Trajectory};

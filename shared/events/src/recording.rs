@@ -1,0 +1,77 @@
+//! What every recording is to those who read it.
+
+use crate::{RawEvent, SourceError};
+use evpr_core::plan::Sensor;
+use std::path::PathBuf;
+
+/// A recording, or a live stream, read from its start to its end.
+pub trait Recording: Send {
+    /// Size of the sensor, if the recording says it.
+    fn sensor(&self) -> Option<Sensor>;
+
+    /// Replaces `out` by the next events, at most [`crate::BATCH_EVENTS`] of them, in the order of the recording.
+    /// False when there are no more (`out` is then empty); true with an empty `out` is possible. Once it holds an
+    /// event it does not wait for bytes that are not there yet, so that a live stream is not held up.
+    ///
+    /// # Errors
+    /// When the recording cannot be read on. `out` then holds what was decoded before.
+    fn next_batch(&mut self, out: &mut Vec<RawEvent>) -> Result<bool, SourceError>;
+
+    /// How much of it has been read, permille.
+    fn progress_permille(&self) -> u64;
+
+    /// What it is.
+    fn describe(&self) -> SourceInfo;
+
+    /// What else was in it so far and passed over: frames, IMU samples, triggers, and so on, each kind once.
+    fn skipped(&self) -> Vec<Skipped> {
+        Vec::new()
+    }
+
+    /// Goes to a place before which every event is earlier than `t_ns`, and says which event comes next (from 0).
+    /// `None`: it cannot jump, and stays where it is. Expects that times do not go back.
+    ///
+    /// # Errors
+    /// When the recording cannot be read.
+    fn seek_before(&mut self, t_ns: u64) -> Result<Option<u64>, SourceError> {
+        let _ = t_ns;
+        Ok(None)
+    }
+
+    /// Where the camera was, if the recording knows. Asked once, before reading begins; what it gives is used by
+    /// another thread than the recording.
+    fn trajectory(&self) -> Option<Box<dyn Trajectory>> {
+        None
+    }
+}
+
+/// Where the camera was over the time of a recording.
+pub trait Trajectory: Send {
+    /// Metres east (or x) and north (or y) at sensor time `t_ns`; `None` where that is not known. Asked once per tick,
+    /// for its start, in the order of time.
+    fn position(&mut self, t_ns: u64) -> Option<[f64; 2]>;
+}
+
+/// What a recording is.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct SourceInfo {
+    /// Name of the format.
+    pub format: &'static str,
+    /// The file.
+    pub path: PathBuf,
+    /// The unit its times are in: `s`, `ms`, `us` or `ns`.
+    pub time_unit: &'static str,
+    /// How that is known: `format`, `config`, `decimal point` or `magnitude`.
+    pub time_unit_from: &'static str,
+    /// Number of events, if known without reading them all.
+    pub events: Option<u64>,
+}
+
+/// A kind of data other than events that was passed over.
+#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
+pub struct Skipped {
+    /// What it is, in a few words: `external triggers`, `frames (stream 1)`.
+    pub what: String,
+    /// How many samples, messages or packets of it.
+    pub count: u64,
+}
