@@ -12,7 +12,7 @@ const MS: u64 = 1_000_000;
 
 fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures")
+        .join("../../shared/events/tests/fixtures")
         .join(name)
 }
 
