@@ -95,7 +95,7 @@ impl Totals {
 }
 
 /// Reads a recording through and counts. A sensor among the options takes precedence over what the recording says.
-/// `progress` is told the permille read, after each batch.
+/// `progress` is told the permille read, after each batch and at the end.
 ///
 /// # Errors
 /// When the recording cannot be opened or read to its end.
@@ -112,6 +112,7 @@ pub fn info(
         batch.iter().for_each(|e| totals.add(e, sensor));
         progress(recording.progress_permille());
     }
+    progress(recording.progress_permille());
     let events = totals.events as f64;
     let duration_s = (totals.last_ns - totals.first_ns) as f64 / 1e9;
     Ok(RecordingInfo {
