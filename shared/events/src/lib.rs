@@ -10,6 +10,7 @@ pub mod formats;
 mod info;
 mod input;
 mod recording;
+pub mod writers;
 
 pub use error::SourceError;
 pub use event::{BATCH_EVENTS, MAX_TIME_NS, RawEvent, rough_seconds, seconds};
