@@ -1,5 +1,7 @@
 //! Every writer, by the registry: what it wrote is read back as it was.
 
+#![allow(clippy::unwrap_used)] // a broken fixture must fail the test
+
 use evpr_core::plan::Sensor;
 use evpr_events::writers::{self, WriteError, WriteOptions};
 use evpr_events::{RawEvent, ReadOptions};
