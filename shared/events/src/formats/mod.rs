@@ -3,6 +3,7 @@
 mod decimal;
 mod hdf5;
 mod lines;
+pub mod prophesee;
 mod text;
 
 use crate::{Input, Recording, SourceError};
