@@ -8,6 +8,7 @@ mod text;
 
 use crate::{Input, Recording, SourceError};
 use evpr_core::plan::{Sensor, TimeUnit};
+use prophesee::Prophesee;
 use std::path::Path;
 
 /// Bytes by which a format is known.
@@ -22,6 +23,9 @@ pub struct ReadOptions {
     pub stream: Option<String>,
     /// Size of the sensor, where the caller knows it.
     pub sensor: Option<Sensor>,
+    /// Says that these are the bare words of a Prophesee sensor in this encoding, as a live pipe may carry them: no
+    /// other format is looked for, and the header may be missing.
+    pub encoding: Option<prophesee::Encoding>,
 }
 
 /// Where the HDF5 signature may stand: at the start, or behind a user block of these sizes.
@@ -60,7 +64,15 @@ struct Format {
 }
 
 /// All formats; the first that knows the content takes it.
-static FORMATS: [Format; 2] = [
+static FORMATS: [Format; 3] = [
+    Format {
+        extensions: &["raw", "dat"],
+        detects: prophesee::begins,
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(Prophesee::open(input, options.encoding)?))),
+        otherwise: "has the ending of a Prophesee recording but not its header (lines that begin with \"% \"); it is \
+                    damaged, of another format, or bare words whose encoding must be said",
+    },
     Format {
         extensions: &["h5", "hdf5", "he5"],
         detects: is_hdf5,
@@ -78,9 +90,8 @@ static FORMATS: [Format; 2] = [
 ];
 
 /// Formats that are known by their first bytes, and not read.
-static UNREADABLE: [(&[u8], &str); 9] = [
+static UNREADABLE: [(&[u8], &str); 8] = [
     (b"#!AER-DAT", "AEDAT"),
-    (b"% ", "Prophesee RAW or DAT"),
     (b"#ROSBAG", "rosbag"),
     (b"\x89MCAP0", "MCAP"),
     (b"PAR1", "Parquet"),
@@ -122,10 +133,13 @@ fn open_known(mut input: Input, file: Option<&Path>, options: &ReadOptions) -> O
             "is empty (0 bytes); it holds no events",
         ));
     }
+    if options.encoding.is_some() {
+        return Ok(Box::new(Prophesee::open(input, options.encoding)?));
+    }
     if let Some((_, name)) = UNREADABLE.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err(SourceError::malformed(
             &path,
-            format!("is {name}; this build reads HDF5 in the NSAVP layout, and text"),
+            format!("is {name}; this build reads Prophesee RAW and DAT, HDF5 in the NSAVP layout, and text"),
         ));
     }
     let extension = path
@@ -145,7 +159,7 @@ fn open_known(mut input: Input, file: Option<&Path>, options: &ReadOptions) -> O
         (None, None) => {
             return Err(SourceError::malformed(
                 &path,
-                "is of no known format; this build reads HDF5 in the NSAVP layout, and text lines \"t x y p\"",
+                "is of no known format; this build reads Prophesee RAW and DAT, HDF5 in the NSAVP layout, and text lines \"t x y p\"",
             ));
         }
     };

@@ -3,12 +3,63 @@
 //! Facts from the vendor's pages "EVT 2.0", "EVT 2.1", "EVT 3.0", "RAW" and "DAT" under docs.prophesee.ai.
 
 mod clock;
+mod dat;
+mod evt2;
+mod evt21;
 mod evt3;
+mod header;
+mod recording;
 mod words;
 
+pub use dat::DatDecoder;
+pub use evt2::Evt2Decoder;
 pub use evt3::Evt3Decoder;
+pub use evt21::{Evt21Decoder, Evt21Order};
+
+pub(super) use header::begins;
+pub(super) use recording::Prophesee;
 
 use crate::RawEvent;
+
+/// How the events of a stream are encoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Encoding {
+    /// EVT 2.0.
+    Evt2,
+    /// EVT 2.1, in one of two orders of bytes.
+    Evt21(Evt21Order),
+    /// EVT 3.0.
+    Evt3,
+    /// DAT, version 2, from its two bytes of type and size on.
+    Dat,
+}
+
+impl Encoding {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Evt2,
+        Self::Evt21(Evt21Order::Little),
+        Self::Evt21(Evt21Order::HalvesSwapped),
+        Self::Evt3,
+        Self::Dat,
+    ];
+
+    /// Its name in configurations and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Evt2 => "evt2",
+            Self::Evt21(Evt21Order::Little) => "evt21",
+            Self::Evt21(Evt21Order::HalvesSwapped) => "evt21_legacy",
+            Self::Evt3 => "evt3",
+            Self::Dat => "dat",
+        }
+    }
+
+    /// The one of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|encoding| encoding.name() == name)
+    }
+}
 
 /// A state machine that is pushed the bytes of a stream, in order and cut anywhere, and gives its events. It waits for
 /// nothing, and nothing that it can be pushed is an error: words of unknown kinds are passed over.
