@@ -1,5 +1,6 @@
 //! The formats, one file each, and the registry that finds the right one.
 
+mod aedat4;
 mod decimal;
 mod hdf5;
 mod lines;
@@ -64,7 +65,7 @@ struct Format {
 }
 
 /// All formats; the first that knows the content takes it.
-static FORMATS: [Format; 3] = [
+static FORMATS: &[Format] = &[
     Format {
         extensions: &["raw", "dat"],
         detects: prophesee::begins,
@@ -72,6 +73,13 @@ static FORMATS: [Format; 3] = [
         open: Open::Stream(|input, options| Ok(Box::new(Prophesee::open(input, options.encoding)?))),
         otherwise: "has the ending of a Prophesee recording but not its header (lines that begin with \"% \"); it is \
                     damaged, of another format, or bare words whose encoding must be said",
+    },
+    Format {
+        extensions: &["aedat4"],
+        detects: |head| head.starts_with(aedat4::FIRST_LINE),
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(aedat4::Aedat4::open(input, options)?))),
+        otherwise: "has the ending of an AEDAT4 file but not its first line; it is damaged or of another format",
     },
     Format {
         extensions: &["h5", "hdf5", "he5"],
@@ -90,8 +98,10 @@ static FORMATS: [Format; 3] = [
 ];
 
 /// Formats that are known by their first bytes, and not read.
-static UNREADABLE: [(&[u8], &str); 8] = [
-    (b"#!AER-DAT", "AEDAT"),
+static UNREADABLE: &[(&[u8], &str)] = &[
+    (b"#!AER-DAT1", "AEDAT 1.0"),
+    (b"#!AER-DAT2", "AEDAT 2.0"),
+    (b"#!AER-DAT3", "AEDAT 3"),
     (b"#ROSBAG", "rosbag"),
     (b"\x89MCAP0", "MCAP"),
     (b"PAR1", "Parquet"),
@@ -118,6 +128,15 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Recording>, So
 /// As [`open`].
 pub fn open_input(input: Input, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
     open_known(input, None, options)
+}
+
+/// Opens what DV software serves over a network: AEDAT4 without the first line. Events are given as they arrive; the
+/// end of the connection between two packets is the end of the recording.
+///
+/// # Errors
+/// One line, when the header cannot be read or names no such stream of events as `options` ask for.
+pub fn aedat4_network(input: Input, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
+    Ok(Box::new(aedat4::Aedat4::network(input, options)?))
 }
 
 /// `file` is the path when the bytes of `input` are just those of that file.

@@ -3,6 +3,7 @@
 //! What is written stands in `<name>.partial` beside the target until [`Writer::finish`] renames it: under the real
 //! name there is never half a recording.
 
+mod aedat4;
 mod csv;
 mod error;
 mod new_file;
@@ -47,11 +48,18 @@ struct Kind {
 }
 
 /// All formats that can be written.
-static KINDS: &[Kind] = &[Kind {
-    extensions: &["csv"],
-    resolution_ns: 1,
-    create: |path, _| Ok(Box::new(csv::Csv::create(path)?)),
-}];
+static KINDS: &[Kind] = &[
+    Kind {
+        extensions: &["csv"],
+        resolution_ns: 1,
+        create: |path, _| Ok(Box::new(csv::Csv::create(path)?)),
+    },
+    Kind {
+        extensions: &["aedat4"],
+        resolution_ns: 1000,
+        create: |path, options| Ok(Box::new(aedat4::Aedat4::create(path, options)?)),
+    },
+];
 
 /// Begins a recording in the format that the name's ending stands for. An older file of that name stays until
 /// [`Writer::finish`] replaces it.
