@@ -56,6 +56,20 @@ pub fn format_duration(ns: u64) -> String {
     format!("{ns}ns")
 }
 
+/// Days from 1970-01-01 to a date of the Gregorian calendar, years 1 to 9999; `None` when there is no such day.
+pub fn days_since_1970(year: i64, month: i64, day: i64) -> Option<i64> {
+    let leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
+    let february = if leap { 29 } else { 28 };
+    let lengths = [31, february, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31];
+    let before = usize::try_from(month.checked_sub(1)?).ok()?;
+    if !(1..=9999).contains(&year) || !(1..=*lengths.get(before)?).contains(&day) {
+        return None;
+    }
+    let leaps_before = |year: i64| (year - 1) / 4 - (year - 1) / 100 + (year - 1) / 400;
+    let years = (year - 1970) * 365 + leaps_before(year) - leaps_before(1970);
+    Some(years + lengths.iter().take(before).sum::<i64>() + day - 1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,5 +123,32 @@ mod tests {
             assert_eq!(parse_duration_ns(&format_duration(ns)), Ok(ns));
         }
         assert_eq!(format_duration(250_000_000), "250ms");
+    }
+
+    #[test]
+    fn counts_days() {
+        // `date -u -d 2020-04-21 +%s` and so on, divided by 86400.
+        for (date, days) in [
+            ((1970, 1, 1), 0),
+            ((1969, 12, 31), -1),
+            ((1994, 3, 23), 8_847),
+            ((2000, 2, 29), 11_016),
+            ((2000, 3, 1), 11_017),
+            ((2020, 4, 21), 18_373),
+            ((2262, 4, 11), 106_751),
+            ((1600, 1, 1), -135_140),
+        ] {
+            assert_eq!(days_since_1970(date.0, date.1, date.2), Some(days), "{date:?}");
+        }
+        for (year, month, day) in [
+            (2021, 2, 29),
+            (1900, 2, 29),
+            (2020, 13, 1),
+            (2020, 0, 1),
+            (2020, 4, 31),
+            (0, 1, 1),
+        ] {
+            assert_eq!(days_since_1970(year, month, day), None);
+        }
     }
 }

@@ -9,6 +9,7 @@ mod event;
 pub mod formats;
 mod info;
 mod input;
+pub mod positions;
 mod recording;
 pub mod writers;
 

@@ -299,7 +299,7 @@ fn bad_lines_are_named_and_what_is_before_them_is_kept() {
     let (events, error) = text(format!("{start}{}\n", "1".repeat(70_000)), TimeUnit::Auto);
     assert_eq!(
         (events.len(), error.as_str()),
-        (2, "line 4: is longer than 64 KiB; this is not an event per line")
+        (2, "line 4: is longer than 64 KiB; these are no lines of text")
     );
 }
 

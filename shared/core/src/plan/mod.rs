@@ -3,11 +3,15 @@
 
 mod channels;
 mod kind;
+mod positions;
 mod slicing;
 mod source;
 
 pub use channels::{Channel, Topic};
 pub use kind::*;
+pub use positions::{
+    Crop, DEFAULT_MAX_GAP_NS, PositionClock, PositionCompat, PositionKind, Positions, UtmZone,
+};
 pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
 pub use source::{OnBadEvent, Pace, Source, Street, StreetPass, TimeUnit};
 

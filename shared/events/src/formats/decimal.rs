@@ -2,7 +2,7 @@
 
 /// Why a text is not a time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum DecimalError {
+pub(crate) enum DecimalError {
     /// Not a decimal number.
     Garbage,
     /// Below zero.
@@ -16,7 +16,7 @@ const MAX_EXPONENT: i32 = 40;
 
 /// Reads a decimal, with or without a point and an exponent, in a unit of `10^unit_digits` ns. What is finer than
 /// a nanosecond is cut off.
-pub(super) fn parse_ns(text: &[u8], unit_digits: u32) -> Result<u64, DecimalError> {
+pub(crate) fn parse_ns(text: &[u8], unit_digits: u32) -> Result<u64, DecimalError> {
     let (negative, digits) = match text {
         [b'-', rest @ ..] => (true, rest),
         [b'+', rest @ ..] => (false, rest),

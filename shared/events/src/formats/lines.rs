@@ -4,10 +4,10 @@ use crate::{Input, SourceError};
 use std::ops::Range;
 
 /// Longest line that is taken, bytes.
-pub(super) const MAX_LINE_BYTES: usize = 64 << 10;
+pub(crate) const MAX_LINE_BYTES: usize = 64 << 10;
 
 /// An input as lines. A line is handed out as a range, to be looked up with [`Lines::bytes`] before the next one.
-pub(super) struct Lines {
+pub(crate) struct Lines {
     input: Input,
     /// Length with its end of the line that was handed out last: it is taken when the next one is asked for.
     handed_out: usize,
@@ -15,7 +15,7 @@ pub(super) struct Lines {
 }
 
 impl Lines {
-    pub(super) fn new(input: Input) -> Self {
+    pub(crate) fn new(input: Input) -> Self {
         Self {
             input,
             handed_out: 0,
@@ -23,12 +23,12 @@ impl Lines {
         }
     }
 
-    pub(super) fn input(&self) -> &Input {
+    pub(crate) fn input(&self) -> &Input {
         &self.input
     }
 
     /// The next line without its end (`\n` or `\r\n`); `None` after the last.
-    pub(super) fn next(&mut self) -> Result<Option<Range<usize>>, SourceError> {
+    pub(crate) fn next(&mut self) -> Result<Option<Range<usize>>, SourceError> {
         self.input.consume(self.handed_out);
         self.handed_out = 0;
         let mut searched = 0;
@@ -52,7 +52,7 @@ impl Lines {
     }
 
     /// True when a whole line can be had without waiting.
-    pub(super) fn is_ready(&self) -> bool {
+    pub(crate) fn is_ready(&self) -> bool {
         let rest = self.input.buffered().get(self.handed_out..);
         rest.is_some_and(|rest| rest.contains(&b'\n'))
     }
@@ -61,7 +61,7 @@ impl Lines {
         self.number += 1;
         if len > MAX_LINE_BYTES {
             let what = format!(
-                "is longer than {} KiB; this is not an event per line",
+                "is longer than {} KiB; these are no lines of text",
                 MAX_LINE_BYTES >> 10
             );
             return Err(SourceError::Line {
@@ -76,22 +76,22 @@ impl Lines {
     }
 
     /// The line of this range.
-    pub(super) fn bytes(&self, line: Range<usize>) -> &[u8] {
+    pub(crate) fn bytes(&self, line: Range<usize>) -> &[u8] {
         self.input.buffered().get(line).unwrap_or_default()
     }
 
     /// Gives back the line that was handed out last: the next one is the same again.
-    pub(super) fn unread(&mut self) {
+    pub(crate) fn unread(&mut self) {
         self.handed_out = 0;
         self.number -= 1;
     }
 
     /// Number of the line handed out last, from 1.
-    pub(super) fn number(&self) -> u64 {
+    pub(crate) fn number(&self) -> u64 {
         self.number
     }
 
-    pub(super) fn progress_permille(&self) -> u64 {
+    pub(crate) fn progress_permille(&self) -> u64 {
         self.input.progress_permille()
     }
 }

@@ -1,9 +1,9 @@
 //! The formats, one file each, and the registry that finds the right one.
 
 mod aedat4;
-mod decimal;
+pub(crate) mod decimal;
 mod hdf5;
-mod lines;
+pub(crate) mod lines;
 pub mod prophesee;
 mod text;
 
@@ -33,7 +33,8 @@ pub struct ReadOptions {
 const HDF5_SIGNATURE_AT: [usize; 4] = [0, 512, 1024, 2048];
 const HDF5_SIGNATURE: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-fn is_hdf5(head: &[u8]) -> bool {
+/// Whether a file begins as HDF5 does.
+pub(crate) fn is_hdf5(head: &[u8]) -> bool {
     let at = |at: &usize| head.get(*at..).is_some_and(|b| b.starts_with(HDF5_SIGNATURE));
     HDF5_SIGNATURE_AT.iter().any(at)
 }
