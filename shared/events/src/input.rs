@@ -2,7 +2,7 @@
 
 use crate::SourceError;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -20,6 +20,8 @@ pub struct Input {
     left: Range<usize>,
     ended: bool,
     taken: u64,
+    /// The same file again, for [`Input::seek`]; `None` when these are not the bytes of a file, or no longer its own.
+    file: Option<File>,
     /// Bytes read from the file itself, before anything is decompressed; its size, where it has one.
     read: Arc<AtomicU64>,
     size: Option<u64>,
@@ -54,7 +56,9 @@ impl Input {
             ));
         }
         let file = File::open(path).map_err(failed)?;
+        let same = file.try_clone().map_err(failed)?;
         let mut input = Self::new(path, file);
+        input.file = Some(same);
         input.size = Some(metadata.len());
         Ok(input)
     }
@@ -72,6 +76,7 @@ impl Input {
             left: 0..0,
             ended: false,
             taken: 0,
+            file: None,
             read,
             size: None,
         }
@@ -89,6 +94,7 @@ impl Input {
             left: 0..0,
             ended: false,
             taken: 0,
+            file: None,
             read,
             size,
         }
@@ -137,6 +143,23 @@ impl Input {
             self.consume(n);
             len -= n as u64;
         }
+        Ok(true)
+    }
+
+    /// Goes to this byte of the file, forward or back. False, and nothing has changed, when these are not the bytes of
+    /// a file (but a pipe's, or what a decompressor made of one).
+    ///
+    /// # Errors
+    /// When the system refuses.
+    pub fn seek(&mut self, to: u64) -> Result<bool, SourceError> {
+        // The clone shares its place with the reader.
+        let Some(file) = &mut self.file else {
+            return Ok(false);
+        };
+        file.seek(SeekFrom::Start(to))
+            .map_err(|e| SourceError::read(&self.path, e))?;
+        (self.left, self.ended, self.taken) = (0..0, false, to);
+        self.read.store(to, Ordering::Relaxed);
         Ok(true)
     }
 
@@ -242,6 +265,21 @@ mod tests {
             assert!(input.peek(1).unwrap().is_empty());
             assert_eq!((input.position(), input.progress_permille()), (256, 1000));
         }
+    }
+
+    #[test]
+    fn goes_to_any_byte_of_a_file() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("f");
+        std::fs::write(&path, [0, 1, 2, 3, 4, 5]).unwrap();
+        let mut input = Input::open(&path).unwrap();
+        assert!(input.skip(6).unwrap() && input.peek(1).unwrap().is_empty());
+        assert!(input.seek(2).unwrap());
+        assert_eq!((input.position(), input.progress_permille()), (2, 333));
+        assert_eq!(input.peek(9).unwrap(), [2, 3, 4, 5]);
+        assert!(input.seek(4).unwrap() && input.peek(1).unwrap() == [4, 5]);
+        let mut mapped = input.map(|r| r);
+        assert!(!mapped.seek(0).unwrap() && mapped.peek(1).unwrap() == [4, 5]);
     }
 
     #[test]

@@ -309,7 +309,7 @@ fn bad_starts_are_named() {
         ("# nothing\n\n346 260\n", "holds no events"),
         (
             "t,x,y\n0.1,2,3\n",
-            "line 1: the header \"t x y\" has no column p; name it p or pol or polarity or on",
+            "line 1: the header \"t x y\" has no column p; name it p or pol or polarity or polarities or ps or on",
         ),
         (
             "t,x,y,p,time\n",

@@ -4,8 +4,10 @@ mod aedat4;
 pub(crate) mod decimal;
 mod hdf5;
 pub(crate) mod lines;
+mod numpy;
 pub mod prophesee;
 mod text;
+mod unit;
 
 use crate::{Input, Recording, SourceError};
 use evpr_core::plan::{Sensor, TimeUnit};
@@ -90,6 +92,13 @@ static FORMATS: &[Format] = &[
         otherwise: "has the ending of an HDF5 file but not its signature; it is damaged or of another format",
     },
     Format {
+        extensions: &["npy"],
+        detects: |head| head.starts_with(numpy::MAGIC),
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(numpy::Numpy::open(input, options.time_unit)?))),
+        otherwise: "has the ending of a NumPy array but not its signature; it is damaged or of another format",
+    },
+    Format {
         extensions: &["txt", "csv", "tsv"],
         detects: is_text,
         conclusive: false,
@@ -106,7 +115,6 @@ static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#ROSBAG", "rosbag"),
     (b"\x89MCAP0", "MCAP"),
     (b"PAR1", "Parquet"),
-    (b"\x93NUMPY", "NumPy"),
     (b"PK\x03\x04", "zip"),
     (b"\x1f\x8b", "gzip"),
     (

@@ -1,8 +1,8 @@
 //! Text and CSV: an event per line, `t x y p`, separated by blanks or commas.
 //!
 //! Optional, in this order: a line `width height`; a header that names the columns in any order
-//! (t | timestamp | ts | time, x, y, p | pol | polarity | on; further columns are passed over). Lines that begin
-//! with `#` are comments. Polarity is 1, true or ON, else 0, -1, false or OFF. Without a header there are exactly
+//! (t | timestamp | ts | time, x, y, p | pol | polarity | on, and the like; further columns are passed over). Lines
+//! that begin with `#` are comments. Polarity is 1, true or ON, else 0, -1, false or OFF. Without a header there are exactly
 //! four columns.
 //!
 //! Times are read as exact decimals. Their unit is the configuration's, or else decided by the first time: a decimal
@@ -11,6 +11,7 @@
 
 use super::decimal::{DecimalError, parse_ns};
 use super::lines::Lines;
+use super::unit::{self, NAMES, digits};
 use crate::{BATCH_EVENTS, Input, RawEvent, Recording, SourceError, SourceInfo};
 use evpr_core::plan::{Sensor, TimeUnit};
 
@@ -18,14 +19,6 @@ use evpr_core::plan::{Sensor, TimeUnit};
 const MAX_COLUMNS: usize = 32;
 /// Longest piece of a line that an error shows, characters.
 const MAX_SHOWN: usize = 40;
-
-/// Names of the columns in a header, in lower case.
-const NAMES: [(&str, &[&str]); 4] = [
-    ("t", &["t", "timestamp", "timestamps", "ts", "time"]),
-    ("x", &["x"]),
-    ("y", &["y"]),
-    ("p", &["p", "pol", "polarity", "on"]),
-];
 
 /// Which column is which.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -296,24 +289,7 @@ fn by_first_time(t: &[u8]) -> (TimeUnit, &'static str) {
     if t.iter().any(|b| matches!(b, b'.' | b'e' | b'E')) {
         return (TimeUnit::S, "decimal point");
     }
-    let unit = match whole(t).unwrap_or(0) {
-        100_000_000_000_000_000.. => TimeUnit::Ns,
-        100_000_000_000_000.. => TimeUnit::Us,
-        1_000_000_000_000.. => TimeUnit::Ms,
-        _ => TimeUnit::Us,
-    };
-    (unit, "magnitude")
-}
-
-/// How many decimal digits of the unit come to a nanosecond; `None` while it is open.
-fn digits(unit: TimeUnit) -> Option<u32> {
-    match unit {
-        TimeUnit::Auto => None,
-        TimeUnit::S => Some(9),
-        TimeUnit::Ms => Some(6),
-        TimeUnit::Us => Some(3),
-        TimeUnit::Ns => Some(0),
-    }
+    unit::by_magnitude(whole(t).unwrap_or(0))
 }
 
 /// A piece of the file for an error: in quotes, printable, short.
@@ -362,16 +338,10 @@ impl Recording for Text {
     }
 
     fn describe(&self) -> SourceInfo {
-        let time_unit = match self.unit {
-            TimeUnit::S => "s",
-            TimeUnit::Ms => "ms",
-            TimeUnit::Us => "us",
-            TimeUnit::Ns | TimeUnit::Auto => "ns",
-        };
         SourceInfo {
             format: "text",
             path: self.lines.input().path().to_owned(),
-            time_unit,
+            time_unit: unit::name(self.unit),
             time_unit_from: self.unit_from,
             events: None,
         }

@@ -1,0 +1,110 @@
+//! The unit that times are in, where the format does not say it, and the usual names of the columns of an event.
+
+use crate::MAX_TIME_NS;
+use evpr_core::plan::TimeUnit;
+
+/// Usual names of the columns t, x, y and p, in lower case.
+pub(super) const NAMES: [(&str, &[&str]); 4] = [
+    ("t", &["t", "timestamp", "timestamps", "ts", "time", "times"]),
+    ("x", &["x", "xs", "x_coordinates"]),
+    ("y", &["y", "ys", "y_coordinates"]),
+    ("p", &["p", "pol", "polarity", "polarities", "ps", "on"]),
+];
+
+/// The unit that a first time without a fraction speaks for: from 10^17 on nanoseconds, from 10^14 on microseconds
+/// (of the epoch), from 10^12 on milliseconds (of the epoch), below that microseconds.
+pub(super) fn by_magnitude(first: u64) -> (TimeUnit, &'static str) {
+    let unit = match first {
+        100_000_000_000_000_000.. => TimeUnit::Ns,
+        100_000_000_000_000.. => TimeUnit::Us,
+        1_000_000_000_000.. => TimeUnit::Ms,
+        _ => TimeUnit::Us,
+    };
+    (unit, "magnitude")
+}
+
+/// The unit that a first time in floating point speaks for: seconds, unless it is of the epoch in a smaller unit.
+pub(super) fn by_float(first: f64) -> (TimeUnit, &'static str) {
+    if first >= 1e12 {
+        by_magnitude(first as u64)
+    } else {
+        (TimeUnit::S, "floating point")
+    }
+}
+
+/// How many decimal digits of the unit come to a nanosecond; `None` while it is open.
+pub(super) fn digits(unit: TimeUnit) -> Option<u32> {
+    match unit {
+        TimeUnit::Auto => None,
+        TimeUnit::S => Some(9),
+        TimeUnit::Ms => Some(6),
+        TimeUnit::Us => Some(3),
+        TimeUnit::Ns => Some(0),
+    }
+}
+
+/// The unit in `SourceInfo::time_unit`.
+pub(super) fn name(unit: TimeUnit) -> &'static str {
+    match unit {
+        TimeUnit::S => "s",
+        TimeUnit::Ms => "ms",
+        TimeUnit::Us => "us",
+        TimeUnit::Ns | TimeUnit::Auto => "ns",
+    }
+}
+
+/// A whole number of units of `scale` ns each; `None` when it is negative or beyond [`MAX_TIME_NS`].
+#[inline]
+pub(super) fn whole_ns(time: i64, scale: u64) -> Option<u64> {
+    let ns = u64::try_from(time).ok()?.checked_mul(scale)?;
+    (ns <= MAX_TIME_NS).then_some(ns)
+}
+
+/// A floating-point number of units of `scale` ns each, to the nearest ns; `None` when it is negative, beyond
+/// [`MAX_TIME_NS`] or no number.
+#[inline]
+pub(super) fn float_ns(time: f64, scale: u64) -> Option<u64> {
+    let time = time + 0.0; // -0 becomes 0
+    if !(0.0..9.3e18).contains(&time) {
+        return None;
+    }
+    // The whole part is scaled exactly; the fraction, which is exact too, keeps its digits.
+    let whole = (time.trunc() as u64).checked_mul(scale)?;
+    let ns = whole.checked_add((time.fract() * scale as f64).round() as u64)?;
+    (ns <= MAX_TIME_NS).then_some(ns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn floats_come_to_the_nearest_nanosecond() {
+        for (time, scale, ns) in [
+            (0.1, 1_000_000_000, Some(100_000_000)),
+            (-0.0, 1_000_000_000, Some(0)),
+            (1.000_000_001, 1_000_000_000, Some(1_000_000_001)),
+            (1_587_452_582.5, 1_000_000_000, Some(1_587_452_582_500_000_000)),
+            (1e15, 1000, Some(1_000_000_000_000_000_000)),
+            (9_223_372_036.9, 1_000_000_000, None),
+            (1e300, 1, None),
+            (-1e-9, 1_000_000_000, None),
+            (f64::NAN, 1, None),
+        ] {
+            assert_eq!(float_ns(time, scale), ns, "{time} of {scale} ns");
+        }
+        assert_eq!(whole_ns(i64::MAX, 1), Some(MAX_TIME_NS));
+        assert_eq!(whole_ns(i64::MAX, 1000), None);
+        assert_eq!(whole_ns(-1, 1), None);
+    }
+
+    #[test]
+    fn the_first_time_tells_the_unit() {
+        assert_eq!(by_magnitude(1_700_000_000_000_000_000).0, TimeUnit::Ns);
+        assert_eq!(by_magnitude(1_700_000_000_000_000).0, TimeUnit::Us);
+        assert_eq!(by_magnitude(1_700_000_000_000).0, TimeUnit::Ms);
+        assert_eq!(by_magnitude(99).0, TimeUnit::Us);
+        assert_eq!(by_float(1_700_000_000.25), (TimeUnit::S, "floating point"));
+        assert_eq!(by_float(1.7e15), (TimeUnit::Us, "magnitude"));
+    }
+}
