@@ -325,7 +325,7 @@ fn bad_starts_are_named() {
         ),
         (
             "hello\n",
-            "line 1: the header \"hello\" has no column t; name it t or timestamp or timestamps or ts or time",
+            "line 1: the header \"hello\" has no column t; name it t or timestamp or timestamps or ts or time or times",
         ),
     ] {
         assert_eq!(
