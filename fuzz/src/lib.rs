@@ -2,15 +2,20 @@
 //! (`shared/events/tests/corpus.rs`).
 
 mod prophesee;
+mod recordings;
 
 pub use prophesee::{dat, evt2, evt3, evt21};
+pub use recordings::{aedat2, aedat4, es};
 
 /// A target by its name, which is also its folder's in `corpus`.
 pub type Target = (&'static str, fn(&[u8]));
 
 /// Every target.
 pub const TARGETS: &[Target] = &[
-    ("dat", dat), //
+    ("aedat2", aedat2),
+    ("aedat4", aedat4),
+    ("dat", dat),
+    ("es", es),
     ("evt2", evt2),
     ("evt21", evt21),
     ("evt3", evt3),

@@ -1,7 +1,9 @@
 //! The formats, one file each, and the registry that finds the right one.
 
+mod aedat2;
 mod aedat4;
 pub(crate) mod decimal;
+mod es;
 mod hdf5;
 pub(crate) mod lines;
 mod numpy;
@@ -85,6 +87,21 @@ static FORMATS: &[Format] = &[
         otherwise: "has the ending of an AEDAT4 file but not its first line; it is damaged or of another format",
     },
     Format {
+        extensions: &["aedat", "aedat2"],
+        detects: |head| head.starts_with(aedat2::FIRST_LINE),
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(aedat2::Aedat2::open(input, options)?))),
+        otherwise: "has the ending of an AEDAT file but not its first line; it is of version 1.0, which is not read, \
+                    damaged, or of another format",
+    },
+    Format {
+        extensions: &["es"],
+        detects: |head| head.starts_with(es::SIGNATURE),
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(es::Es::open(input, options)?))),
+        otherwise: "has the ending of an Event Stream file but not its signature; it is damaged or of another format",
+    },
+    Format {
         extensions: &["h5", "hdf5", "he5"],
         detects: is_hdf5,
         conclusive: true,
@@ -110,7 +127,6 @@ static FORMATS: &[Format] = &[
 /// Formats that are known by their first bytes, and not read.
 static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#!AER-DAT1", "AEDAT 1.0"),
-    (b"#!AER-DAT2", "AEDAT 2.0"),
     (b"#!AER-DAT3", "AEDAT 3"),
     (b"#ROSBAG", "rosbag"),
     (b"\x89MCAP0", "MCAP"),
