@@ -12,6 +12,7 @@ mod input;
 pub mod positions;
 mod recording;
 pub mod writers;
+mod zip;
 
 pub use error::SourceError;
 pub use event::{BATCH_EVENTS, MAX_TIME_NS, RawEvent, rough_seconds, seconds};

@@ -61,7 +61,7 @@ pub struct SourceInfo {
     pub path: PathBuf,
     /// The unit its times are in: `s`, `ms`, `us` or `ns`.
     pub time_unit: &'static str,
-    /// How that is known: `format`, `config`, `decimal point`, `floating point` or `magnitude`.
+    /// How that is known: `format`, `config`, `name`, `decimal point`, `floating point` or `magnitude`.
     pub time_unit_from: &'static str,
     /// Number of events, if known without reading them all.
     pub events: Option<u64>,

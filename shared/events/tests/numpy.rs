@@ -212,6 +212,9 @@ for t in ['<i8', '>i4', '<f8', '<f4']:
     np.save(f'c_{t}.npy', a)
     np.save(f'f_{t}.npy', np.asfortranarray(a))
     np.save(f't_{t}.npy', np.ascontiguousarray(a.T))
+    np.savez(f'one_{t}.npz', a)
+np.savez('four.npz', t=us, x=x, y=y, p=p.astype(bool))
+np.savez_compressed('packed.npz', timestamps=us.astype('f8'), x=x, y=y, polarity=(2 * p - 1).astype('i1'), extra=np.eye(3))
 ";
 
 #[test]
@@ -237,5 +240,35 @@ fn what_numpy_writes_is_read() {
             "{}",
             path.display()
         );
+    }
+}
+
+const READ_OURS: &str = r"
+import numpy as np
+a, z = np.load('a.npy'), np.load('a.npz')
+assert a.dtype.names == ('t_ns', 'x', 'y', 'p') and a.shape == (100_000,), a.dtype
+c = np.genfromtxt('a.csv', delimiter=',', names=True, dtype=['f8', 'u2', 'u2', 'u1'])
+for name in a.dtype.names:
+    assert (a[name] == z[name]).all() and a[name].dtype == z[name].dtype, name
+assert (a['x'] == c['x']).all() and (a['y'] == c['y']).all() and (a['p'] == c['p']).all()
+assert abs(a['t_ns'] / 1e9 - c['t']).max() < 1e-9
+assert not __import__('zipfile').ZipFile('a.npz').testzip()
+";
+
+#[test]
+fn numpy_reads_what_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let events: Vec<RawEvent> = (0..100_000u64)
+        .map(|i| event(i * 1_234 + 5, (i % 346) as u16, (i % 260) as u16, i % 3 == 0))
+        .collect();
+    for name in ["a.npy", "a.npz", "a.csv"] {
+        let path = dir.path().join(name);
+        let mut writer = evpr_events::writers::create(&path, &Default::default()).unwrap();
+        writer.write(&events).unwrap();
+        writer.finish().unwrap();
+        assert!(read_as(&path, TimeUnit::Auto).unwrap() == events, "{name}");
+    }
+    if !python(dir.path(), READ_OURS) {
+        println!("skipped: numpy_reads_what_is_written: python3 has no numpy");
     }
 }

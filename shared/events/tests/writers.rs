@@ -110,7 +110,7 @@ fn what_cannot_be_written_is_said_in_one_line() {
     let dir = tempfile::tempdir().unwrap();
     for (name, wants) in [
         ("a.xyz", "no format to write has this ending"),
-        ("csv", "use one of .csv"),
+        ("csv", "use one of ."),
     ] {
         let path = dir.path().join(name);
         let said = write(&path, &[], 1).unwrap_err().to_string();

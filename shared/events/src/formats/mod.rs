@@ -7,11 +7,12 @@ mod es;
 mod hdf5;
 pub(crate) mod lines;
 mod numpy;
+mod packed;
 pub mod prophesee;
 mod text;
 mod unit;
 
-use crate::{Input, Recording, SourceError};
+use crate::{Input, Recording, SourceError, zip};
 use evpr_core::plan::{Sensor, TimeUnit};
 use prophesee::Prophesee;
 use std::path::Path;
@@ -24,7 +25,7 @@ const HEAD_BYTES: usize = 4096;
 pub struct ReadOptions {
     /// Unit of times; counts for text, NumPy and Parquet.
     pub time_unit: TimeUnit,
-    /// Which stream or topic of events to read where there are several; else the first one.
+    /// Which stream, topic or member of an archive to read where there are several; else the first one.
     pub stream: Option<String>,
     /// Size of the sensor, where the caller knows it.
     pub sensor: Option<Sensor>,
@@ -116,6 +117,21 @@ static FORMATS: &[Format] = &[
         otherwise: "has the ending of a NumPy array but not its signature; it is damaged or of another format",
     },
     Format {
+        extensions: &["gz"],
+        detects: |head| head.starts_with(packed::GZIP_MAGIC),
+        conclusive: true,
+        open: Open::Stream(packed::gzip),
+        otherwise: "has the ending of a gzip file but not its signature; it is damaged or not packed at all",
+    },
+    Format {
+        extensions: &["zip", "npz"],
+        detects: |head| head.starts_with(zip::MAGIC),
+        conclusive: true,
+        open: Open::File(packed::zip),
+        otherwise: "has the ending of a zip archive but not its signature, or holds nothing; it is damaged or not \
+                    packed at all",
+    },
+    Format {
         extensions: &["txt", "csv", "tsv"],
         detects: is_text,
         conclusive: false,
@@ -124,6 +140,10 @@ static FORMATS: &[Format] = &[
     },
 ];
 
+/// What is read, for messages.
+const READ: &str = "Prophesee RAW and DAT, AEDAT4, HDF5 in the NSAVP layout, NumPy, and text lines \"t x y p\", also \
+                    inside gzip or zip";
+
 /// Formats that are known by their first bytes, and not read.
 static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#!AER-DAT1", "AEDAT 1.0"),
@@ -131,8 +151,6 @@ static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#ROSBAG", "rosbag"),
     (b"\x89MCAP0", "MCAP"),
     (b"PAR1", "Parquet"),
-    (b"PK\x03\x04", "zip"),
-    (b"\x1f\x8b", "gzip"),
     (
         b"version https://git-lfs",
         "a Git LFS pointer, not the file itself",
@@ -144,7 +162,7 @@ static UNREADABLE: &[(&[u8], &str)] = &[
 /// # Errors
 /// One line, when it does not exist, cannot be read, is empty or of no known format, or holds no events.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
-    open_known(Input::open(path)?, Some(path), options)
+    open_known(Input::open(path)?, path, Place::File(path), options)
 }
 
 /// Opens a recording that comes as bytes in order. Formats that are read in any order are refused.
@@ -152,7 +170,8 @@ pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Recording>, So
 /// # Errors
 /// As [`open`].
 pub fn open_input(input: Input, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
-    open_known(input, None, options)
+    let path = input.path().to_owned();
+    open_known(input, &path, Place::Pipe, options)
 }
 
 /// Opens what DV software serves over a network: AEDAT4 without the first line. Events are given as they arrive; the
@@ -164,11 +183,26 @@ pub fn aedat4_network(input: Input, options: &ReadOptions) -> Result<Box<dyn Rec
     Ok(Box::new(aedat4::Aedat4::network(input, options)?))
 }
 
-/// `file` is the path when the bytes of `input` are just those of that file.
-fn open_known(mut input: Input, file: Option<&Path>, options: &ReadOptions) -> Opened {
+/// Where the bytes of an input stand.
+#[derive(Clone, Copy)]
+enum Place<'a> {
+    /// They are just those of this file.
+    File(&'a Path),
+    /// Inside a file that is being unpacked.
+    Packed,
+    /// In a pipe or a connection.
+    Pipe,
+}
+
+/// `name` is what the recording itself is called: its ending may count.
+fn open_known(mut input: Input, name: &Path, place: Place<'_>, options: &ReadOptions) -> Opened {
     let path = input.path().to_owned();
     // A live stream may have sent only a little yet: it is known by its first bytes.
-    let len = if file.is_some() { HEAD_BYTES } else { 1 };
+    let len = if matches!(place, Place::Pipe) {
+        1
+    } else {
+        HEAD_BYTES
+    };
     let head = input.peek(len)?;
     let head = &head[..head.len().min(HEAD_BYTES)];
     if head.is_empty() {
@@ -183,10 +217,10 @@ fn open_known(mut input: Input, file: Option<&Path>, options: &ReadOptions) -> O
     if let Some((_, name)) = UNREADABLE.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err(SourceError::malformed(
             &path,
-            format!("is {name}; this build reads Prophesee RAW and DAT, HDF5 in the NSAVP layout, and text"),
+            format!("is {name}; this build reads {READ}"),
         ));
     }
-    let extension = path
+    let extension = name
         .extension()
         .map(|e| e.to_string_lossy().to_lowercase())
         .unwrap_or_default();
@@ -203,14 +237,14 @@ fn open_known(mut input: Input, file: Option<&Path>, options: &ReadOptions) -> O
         (None, None) => {
             return Err(SourceError::malformed(
                 &path,
-                "is of no known format; this build reads Prophesee RAW and DAT, HDF5 in the NSAVP layout, and text lines \"t x y p\"",
+                format!("is of no known format; this build reads {READ}"),
             ));
         }
     };
-    match (&found.open, file) {
+    match (&found.open, place) {
         (Open::Stream(open), _) => open(input, options),
-        (Open::File(open), Some(path)) => open(path, options),
-        (Open::File(_), None) => Err(SourceError::malformed(
+        (Open::File(open), Place::File(path)) => open(path, options),
+        (Open::File(_), _) => Err(SourceError::malformed(
             &path,
             "is of a format that is read in any order, but its bytes come one after another here; \
              unpack it into a file first",

@@ -11,6 +11,18 @@ pub(super) const NAMES: [(&str, &[&str]); 4] = [
     ("p", &["p", "pol", "polarity", "polarities", "ps", "on"]),
 ];
 
+/// Which of the columns t, x, y and p has this name (0 to 3), and the unit of times that it says, as in `t_ns`.
+pub(super) fn column(name: &str) -> Option<(usize, Option<TimeUnit>)> {
+    let is = |name: &str, names: &[&str]| names.iter().any(|n| name.eq_ignore_ascii_case(n));
+    if let Some(column) = NAMES.iter().position(|(_, names)| is(name, names)) {
+        return Some((column, None));
+    }
+    let (name, suffix) = name.rsplit_once('_')?;
+    let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
+    let unit = units.into_iter().find(|unit| self::name(*unit) == suffix)?;
+    is(name, NAMES[0].1).then_some((0, Some(unit)))
+}
+
 /// The unit that a first time without a fraction speaks for: from 10^17 on nanoseconds, from 10^14 on microseconds
 /// (of the epoch), from 10^12 on milliseconds (of the epoch), below that microseconds.
 pub(super) fn by_magnitude(first: u64) -> (TimeUnit, &'static str) {

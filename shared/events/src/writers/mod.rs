@@ -7,6 +7,7 @@ mod aedat4;
 mod csv;
 mod error;
 mod new_file;
+mod numpy;
 
 use crate::RawEvent;
 use evpr_core::plan::Sensor;
@@ -53,6 +54,16 @@ static KINDS: &[Kind] = &[
         extensions: &["csv"],
         resolution_ns: 1,
         create: |path, _| Ok(Box::new(csv::Csv::create(path)?)),
+    },
+    Kind {
+        extensions: &["npy"],
+        resolution_ns: 1,
+        create: |path, _| Ok(Box::new(numpy::Npy::create(path)?)),
+    },
+    Kind {
+        extensions: &["npz"],
+        resolution_ns: 1,
+        create: |path, _| Ok(Box::new(numpy::Npz::create(path)?)),
     },
     Kind {
         extensions: &["aedat4"],

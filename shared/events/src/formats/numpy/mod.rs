@@ -1,11 +1,11 @@
-//! NumPy: an event per row of a `.npy` array, or four arrays in an `.npz`.
+//! NumPy: an event per row of a `.npy` array, or four arrays t, x, y, p in an `.npz` (or one as in a `.npy` file).
 //!
 //! A `.npy` file holds a structured array with fields for t, x, y and p (see [`unit::NAMES`]; further fields are
 //! passed over), or a plain array of shape (N, 4) with the columns t, x, y, p in this order, in C or Fortran order; (4, N)
 //! is taken as its transpose. Numbers are integers, floats or booleans of any size and byte order. Polarity is 1, else
 //! 0 or -1.
 //!
-//! The unit of times is the configuration's, or else decided by the first time ([`unit::by_magnitude`],
+//! The unit of times is the configuration's, or else the name's (`t_ns`), or else decided by the first time ([`unit::by_magnitude`],
 //! [`unit::by_float`]).
 //!
 //! Format: <https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>.
@@ -13,6 +13,7 @@
 mod decode;
 mod header;
 mod literal;
+mod npz;
 
 use super::unit::{self, NAMES};
 use crate::{BATCH_EVENTS, Input, RawEvent, Recording, SourceError, SourceInfo};
@@ -51,17 +52,20 @@ struct Layout {
     rows: Vec<(usize, u64)>,
     columns: [(usize, Column); 4],
     events: u64,
+    /// What the name of t says.
+    unit: Option<TimeUnit>,
 }
 
 impl Layout {
     fn of(header: &Header) -> Result<Self, String> {
         match (&header.item, header.shape.as_slice()) {
             (Item::Fields { fields, bytes }, [events]) => {
-                let column = |(name, names): (&str, &[&str])| {
+                let column = |wanted: usize| {
+                    let (name, names) = NAMES[wanted];
                     let mut hits = fields
                         .iter()
-                        .filter(|f| names.iter().any(|n| f.name.eq_ignore_ascii_case(n)));
-                    let field = hits.next().ok_or_else(|| {
+                        .filter_map(|f| unit::column(&f.name).filter(|c| c.0 == wanted).map(|c| (f, c.1)));
+                    let (field, unit) = hits.next().ok_or_else(|| {
                         format!(
                             "is an array without a field {name}; name it {}",
                             names.join(" or ")
@@ -73,20 +77,19 @@ impl Layout {
                     let scalar = field.scalar.ok_or_else(|| {
                         format!("is an array whose field '{}' is not one number", field.name)
                     })?;
-                    Ok((
-                        0,
-                        Column {
-                            offset: field.offset,
-                            row_bytes: *bytes,
-                            scalar,
-                        },
-                    ))
+                    let column = Column {
+                        offset: field.offset,
+                        row_bytes: *bytes,
+                        scalar,
+                    };
+                    Ok(((0, column), unit))
                 };
-                let [t, x, y, p] = NAMES.map(column);
+                let (t, unit) = column(0)?;
                 Ok(Self {
                     rows: vec![(*bytes, 0)],
-                    columns: [t?, x?, y?, p?],
+                    columns: [t, column(1)?.0, column(2)?.0, column(3)?.0],
                     events: *events,
+                    unit,
                 })
             }
             (Item::Number(scalar), [n, 4]) if !header.fortran_order => {
@@ -105,6 +108,7 @@ impl Layout {
                     rows: vec![(row_bytes, 0)],
                     columns: [0, 1, 2, 3].map(column),
                     events: *n,
+                    unit: None,
                 })
             }
             (Item::Number(scalar), [n, 4]) => Self::one_after_another(*scalar, *n),
@@ -139,6 +143,7 @@ impl Layout {
             rows: (0..4).map(|i| (scalar.bytes, i * bytes)).collect(),
             columns: [0, 1, 2, 3].map(column),
             events,
+            unit: None,
         })
     }
 }
@@ -175,15 +180,15 @@ impl Numpy {
                 row_bytes,
             });
         }
-        Self::start(rows, layout.columns, layout.events, unit)
+        Self::start(rows, layout.columns, layout.events, (unit, layout.unit))
     }
 
-    /// Decides the unit by the first time.
+    /// Decides the unit: by the configuration, the name of t, or the first time.
     fn start(
         rows: Vec<Rows>,
         columns: [(usize, Column); 4],
         events: u64,
-        unit: TimeUnit,
+        (unit, named): (TimeUnit, Option<TimeUnit>),
     ) -> Result<Self, SourceError> {
         let mut numpy = Self {
             rows,
@@ -197,7 +202,9 @@ impl Numpy {
             return Err(SourceError::malformed(numpy.path(), "holds no events"));
         }
         numpy.wait_for_a_row()?;
-        if unit == TimeUnit::Auto {
+        if let (TimeUnit::Auto, Some(named)) = (unit, named) {
+            (numpy.unit, numpy.unit_from) = (named, "name");
+        } else if unit == TimeUnit::Auto {
             (numpy.unit, numpy.unit_from) = match numpy.number(0, 0) {
                 Some(Number::Float(t)) => unit::by_float(t),
                 Some(Number::Whole(t)) => unit::by_magnitude(u64::try_from(t).unwrap_or(0)),
@@ -327,6 +334,12 @@ impl Recording for Numpy {
                 rows.input.consume(count * rows.row_bytes);
             }
             self.next += count as u64;
+        }
+        if out.is_empty() {
+            // What is left of a packed input is its check sum.
+            for rows in &mut self.rows {
+                rows.input.peek(1)?;
+            }
         }
         Ok(!out.is_empty())
     }
