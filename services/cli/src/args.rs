@@ -171,6 +171,8 @@ pub(crate) struct MapArgs {
 pub(crate) enum EventsCommand {
     /// Format, sensor, counts, rates and oddities of a recording
     Info(EventsInfoArgs),
+    /// Pixels that fire without cause, as a list for source.hot_pixels.file
+    HotPixels(HotPixelsArgs),
     /// Frames of a recording as a NumPy array
     Reconstruct(ReconstructArgs),
 }
@@ -183,6 +185,33 @@ pub(crate) struct EventsInfoArgs {
     /// As JSON
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct HotPixelsArgs {
+    /// The recording
+    #[arg(value_name = "IN")]
+    pub(crate) input: PathBuf,
+    /// Where to write the list, a line x,y for each; stdout when left out
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// A hot pixel has more than so many times the events of the third busiest of the 24 pixels around it [default: 3]
+    #[arg(long, value_name = "X", value_parser = factor)]
+    pub(crate) factor: Option<f64>,
+    /// And at least so many events per second (and 20 in all) [default: 5]
+    #[arg(long, value_name = "HZ", value_parser = weight)]
+    pub(crate) min_rate_hz: Option<f64>,
+    /// Sensor size, such as 260x346 (height x width), where the recording does not tell
+    #[arg(long, value_name = "HxW")]
+    pub(crate) sensor: Option<String>,
+    /// As JSON, with the rates
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    let factor = text.parse::<f64>().ok().filter(|f| f.is_finite() && *f > 1.0);
+    factor.ok_or_else(|| "not a factor; give a number above 1".to_owned())
 }
 
 fn duration(text: &str) -> Result<u64, String> {

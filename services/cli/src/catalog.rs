@@ -19,7 +19,8 @@ pub(crate) fn load(path: &Path) -> Result<Config, Failure> {
     config::parse(&text, &path.display().to_string(), &CATALOG).map_err(Failure::new)
 }
 
-/// Makes the plan: what the configuration leaves open about the sensor is asked of the recording.
+/// Makes the plan: what the configuration leaves open about the sensor is asked of the recording, and
+/// the hot pixels are found.
 pub(crate) fn plan(path: &Path, overrides: &Overrides) -> Result<Plan, Failure> {
     let config = load(path)?;
     let sensor = match config.source(overrides) {
@@ -37,5 +38,7 @@ pub(crate) fn plan(path: &Path, overrides: &Overrides) -> Result<Plan, Failure> 
             )));
         }
     };
-    config.resolve(sensor, overrides).map_err(Failure::new)
+    let mut plan = config.resolve(sensor, overrides).map_err(Failure::new)?;
+    evpr_ingest::find_hot_pixels(&mut plan)?;
+    Ok(plan)
 }

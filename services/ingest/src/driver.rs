@@ -1,9 +1,10 @@
 //! The driver: recording, screen, slicer and pace, run as one.
 
+use crate::noise::Memory;
 use crate::pace::Pace;
 use crate::placed::Placed;
-use crate::reader::{Batch, Reader, next_screened};
-use crate::{RawEvent, Screen, ScreenTally, SliceTally, Slicer, SourceError, source};
+use crate::reader::{Reader, next_screened};
+use crate::{Noise, NoiseTally, RawEvent, Screen, ScreenTally, SliceTally, Slicer, SourceError, source};
 use crossbeam::channel::{Receiver, TryRecvError};
 use evpr_core::plan::{self, OnBadEvent, Plan};
 use evpr_core::stage::{IngestPort, StageError};
@@ -16,6 +17,8 @@ pub struct IngestSummary {
     pub end_tick: u64,
     /// What the screen left out or changed.
     pub screened: ScreenTally,
+    /// What was left out as noise.
+    pub noise: NoiseTally,
     /// What became of the events that passed it.
     pub sliced: SliceTally,
     /// True when it was asked to stop before the recording ended.
@@ -30,6 +33,7 @@ pub struct IngestSummary {
 pub struct Ingest {
     recording: Box<dyn Recording>,
     screen: Screen,
+    noise: Noise,
     /// Read before the start, to find the origin.
     first: Option<Vec<RawEvent>>,
     replay: Replay,
@@ -44,6 +48,7 @@ struct Replay {
     stop: Receiver<()>,
     described: String,
     screened: ScreenTally,
+    noise: NoiseTally,
     progress_permille: u64,
 }
 
@@ -85,11 +90,13 @@ impl Ingest {
             stop,
             described: about.path.display().to_string(),
             screened: ScreenTally::default(),
+            noise: NoiseTally::default(),
             progress_permille: 0,
         };
         let mut ingest = Self {
             recording,
             screen: Screen::new(plan),
+            noise: Noise::new(plan)?,
             first: None,
             replay,
         };
@@ -101,13 +108,19 @@ impl Ingest {
     }
 
     fn find_resume(&mut self, ordered: bool) -> Result<(), SourceError> {
+        // The filters have to see again what they remember of the time before.
+        let seen_before_ns = match self.noise.memory() {
+            Memory::Ns(ns) => Some(ns),
+            Memory::All => None,
+        };
         let mut first = Vec::new();
         while next_screened(self.recording.as_mut(), &mut self.screen, &mut first)? {
             let Some(event) = first.first() else { continue };
             self.replay.slicer.anchor(event.t_ns);
             if ordered
                 && let Some(start) = self.replay.slicer.start_ns()
-                && let Some(index) = self.recording.seek_before(start)?
+                && let Some(before_ns) = seen_before_ns
+                && let Some(index) = self.recording.seek_before(start.saturating_sub(before_ns))?
             {
                 self.screen.restart(index);
             } else {
@@ -127,12 +140,13 @@ impl Ingest {
         let Self {
             recording,
             screen,
+            noise,
             first,
             mut replay,
         } = self;
         let trajectory = recording.trajectory();
         let port = &mut Placed { port, trajectory };
-        let reader = match Reader::spawn(recording, screen, first) {
+        let reader = match Reader::spawn(recording, screen, noise, first) {
             Ok(reader) => reader,
             Err(e) => return replay.end(Err(fatal(&e)), port),
         };
@@ -162,17 +176,21 @@ impl Replay {
                 recv(reader.batches) -> batch => batch,
             };
             let Ok(batch) = received else { return Ok(false) };
-            let Batch {
-                events,
-                progress_permille,
-                tally,
-            } = batch.map_err(|e| fatal(&e))?;
-            (self.screened, self.progress_permille) = (tally, progress_permille);
-            match self.factor {
-                None => self.slicer.push(&events, port)?,
-                Some(factor) => self.push_paced(&events, factor, port)?,
+            let batch = batch.map_err(|e| fatal(&e))?;
+            (self.screened, self.noise) = (batch.screened, batch.noise);
+            self.progress_permille = batch.progress_permille;
+            // Noise or not: it says when the recording begins, and how far it has come.
+            if let Some(first_ns) = batch.first_ns {
+                self.slicer.anchor(first_ns);
             }
-            reader.recycle(events);
+            match self.factor {
+                None => self.slicer.push(&batch.events, port)?,
+                Some(factor) => self.push_paced(&batch.events, factor, port)?,
+            }
+            if let Some(last) = batch.last {
+                self.close_before(&last, port)?;
+            }
+            reader.recycle(batch.events);
             self.report(port);
         }
     }
@@ -189,14 +207,8 @@ impl Replay {
             let pace = *self
                 .pace
                 .get_or_insert_with(|| Pace::new(anchor_ns, port.now_ns(), factor));
+            self.close_paced(first, pace, port)?;
             let edge = self.slicer.next_edge_ns().unwrap_or(u64::MAX);
-            if first.t_ns >= edge {
-                self.slicer.check_gap(first)?;
-                port.wait_until(pace.wall_ns(edge))?;
-                self.slicer.watermark(edge, port)?;
-                self.report(port);
-                continue;
-            }
             let end = edge.min(pace.slot_end_ns(first.t_ns));
             let n = rest.partition_point(|e| e.t_ns < end).clamp(1, self.chunk_events);
             let (part, after) = rest.split_at(n);
@@ -220,9 +232,42 @@ impl Replay {
         Ok(())
     }
 
+    /// Closes what is over when this event comes, which may itself be noise.
+    fn close_before(&mut self, event: &RawEvent, port: &mut dyn IngestPort) -> Result<(), StageError> {
+        match self.factor.zip(self.slicer.start_ns()) {
+            // Where the run resumes, time begins with the first tick.
+            Some((_, start_ns)) if event.t_ns < start_ns => Ok(()),
+            Some((factor, start_ns)) => {
+                let pace = *self
+                    .pace
+                    .get_or_insert_with(|| Pace::new(start_ns, port.now_ns(), factor));
+                self.close_paced(event, pace, port)
+            }
+            None => {
+                self.slicer.check_gap(event)?;
+                self.slicer.watermark(event.t_ns, port)
+            }
+        }
+    }
+
+    fn close_paced(
+        &mut self,
+        event: &RawEvent,
+        pace: Pace,
+        port: &mut dyn IngestPort,
+    ) -> Result<(), StageError> {
+        while let Some(edge) = self.slicer.next_edge_ns().filter(|edge| *edge <= event.t_ns) {
+            self.slicer.check_gap(event)?;
+            port.wait_until(pace.wall_ns(edge))?;
+            self.slicer.watermark(edge, port)?;
+            self.report(port);
+        }
+        Ok(())
+    }
+
     fn report(&self, port: &mut dyn IngestPort) {
         let sliced = self.slicer.tally();
-        let skipped = sliced.skipped() + self.screened.dropped();
+        let skipped = sliced.skipped() + self.screened.dropped() + self.noise.dropped();
         port.progress(
             self.progress_permille,
             self.slicer.next_tick(),
@@ -251,14 +296,15 @@ impl Replay {
             Err(StageError::Stopped) if stopped => self.slicer.next_tick(),
             Err(e) => return Err(e),
         };
-        if !stopped && sliced.before_origin > 0 && sliced.sent + sliced.unneeded + sliced.before_resume == 0 {
+        let passed = sliced.sent + sliced.unneeded + sliced.before_resume + self.noise.dropped();
+        if !stopped && sliced.before_origin > 0 && passed == 0 {
             let origin = self.slicer.origin_ns().map_or_else(String::new, seconds);
             return Err(StageError::Fatal(format!(
                 "{}: all {} events are earlier than slicing.origin at {origin}; correct the origin",
                 self.described, sliced.before_origin
             )));
         }
-        let screened = self.screened;
+        let (screened, noise) = (self.screened, self.noise);
         tracing::info!(
             end_tick,
             sent = sliced.sent,
@@ -274,9 +320,18 @@ impl Replay {
                 "events left out or moved"
             );
         }
+        if noise != NoiseTally::default() {
+            tracing::info!(
+                hot_pixels = noise.hot_pixels,
+                refractory = noise.refractory,
+                background_activity = noise.background_activity,
+                "events left out as noise"
+            );
+        }
         Ok(IngestSummary {
             end_tick,
             screened,
+            noise,
             sliced,
             stopped,
         })

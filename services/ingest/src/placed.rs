@@ -54,6 +54,7 @@ impl IngestPort for Placed<'_> {
 mod tests {
     use super::*;
     use crate::testing::KeptPort;
+    use evpr_core::plan::{Sensor, SliceMode, Source, Street};
 
     /// 1 m per µs to the east, known up to 5 µs.
     struct Line;
@@ -93,5 +94,40 @@ mod tests {
             [Some([3.0, -2.0]), None, None, None]
         );
         assert_eq!(positions(None), [None; 4]);
+    }
+
+    /// The street knows where its camera is, however ticks are measured.
+    #[test]
+    fn counted_ticks_of_the_street_carry_positions() {
+        let mut plan = evpr_core::plan::test_plan();
+        plan.sensor = Sensor {
+            height: 30,
+            width: 40,
+        };
+        plan.source = Source::street(Street {
+            length_m: 20.0,
+            sensor: plan.sensor,
+            ..Street::default()
+        });
+        plan.slicing.mode = SliceMode::Count;
+        (plan.slicing.tick, plan.slicing.windows) = (1_000, vec![250, 1_000]);
+        let mut port = KeptPort::default();
+        let (_keep, stop) = crossbeam::channel::bounded(0);
+        let summary = crate::Ingest::new(&plan, 0, 1, stop)
+            .unwrap()
+            .run(&mut port)
+            .unwrap();
+        let mut truth = crate::open(&plan.source).unwrap().trajectory().unwrap();
+        let opened: Vec<_> = port.ticks().filter(|(kind, _)| *kind == TickKind::Open).collect();
+        assert!(opened.len() as u64 >= summary.end_tick && summary.end_tick > 5);
+        let mut before_m = -1.0;
+        for (_, header) in &opened {
+            let position = header.position();
+            assert_eq!(position, truth.position(header.start_us * 1_000));
+            let [east_m, _] = position.unwrap();
+            assert!(east_m > before_m && east_m <= 20.5, "{east_m} after {before_m}");
+            before_m = east_m;
+        }
+        assert!(before_m > 10.0, "{before_m}");
     }
 }

@@ -1,7 +1,7 @@
 //! The reader: a thread that decodes and screens ahead of the slicer, through two bounded channels: batches go
 //! one way, and come back to be filled again.
 
-use crate::{RawEvent, Screen, ScreenTally, SourceError};
+use crate::{Noise, NoiseTally, RawEvent, Screen, ScreenTally, SourceError};
 use crossbeam::channel::{Receiver, Sender, bounded};
 use evpr_events::{BATCH_EVENTS, Recording};
 use std::thread::JoinHandle;
@@ -9,12 +9,16 @@ use std::thread::JoinHandle;
 /// Batches that may wait for the slicer.
 const AHEAD: usize = 4;
 
-/// Screened events, with where the recording stands after them.
+/// Screened events without the noise, with where the recording stands after them.
 #[derive(Debug)]
 pub(crate) struct Batch {
     pub(crate) events: Vec<RawEvent>,
+    /// Time of the first event, and the last event, noise or not.
+    pub(crate) first_ns: Option<u64>,
+    pub(crate) last: Option<RawEvent>,
     pub(crate) progress_permille: u64,
-    pub(crate) tally: ScreenTally,
+    pub(crate) screened: ScreenTally,
+    pub(crate) noise: NoiseTally,
 }
 
 /// The receiving end. The recording has ended when its channel is disconnected; a failure comes last.
@@ -29,6 +33,7 @@ impl Reader {
     pub(crate) fn spawn(
         recording: Box<dyn Recording>,
         screen: Screen,
+        noise: Noise,
         first: Option<Vec<RawEvent>>,
     ) -> Result<Self, SourceError> {
         let (filled, batches) = bounded(AHEAD);
@@ -36,7 +41,7 @@ impl Reader {
         let (empties, recycled) = bounded(AHEAD + 2);
         let thread = std::thread::Builder::new()
             .name("decode".to_owned())
-            .spawn(move || decode(recording, screen, first, &filled, &recycled))
+            .spawn(move || decode(recording, screen, noise, first, &filled, &recycled))
             .map_err(|e| SourceError::Setup(format!("cannot start the decoding thread: {e}")))?;
         Ok(Self {
             batches,
@@ -67,17 +72,22 @@ impl Reader {
 fn decode(
     mut recording: Box<dyn Recording>,
     mut screen: Screen,
+    mut noise: Noise,
     first: Option<Vec<RawEvent>>,
     filled: &Sender<Result<Batch, SourceError>>,
     recycled: &Receiver<Vec<RawEvent>>,
 ) {
-    let send = |events, recording: &dyn Recording, screen: &Screen| {
-        let progress_permille = recording.progress_permille();
+    let mut send = |mut events: Vec<RawEvent>, recording: &dyn Recording, screen: &Screen| {
+        let (first_ns, last) = (events.first().map(|e| e.t_ns), events.last().copied());
+        noise.apply(&mut events);
         filled
             .send(Ok(Batch {
                 events,
-                progress_permille,
-                tally: screen.tally(),
+                first_ns,
+                last,
+                progress_permille: recording.progress_permille(),
+                screened: screen.tally(),
+                noise: noise.tally(),
             }))
             .is_ok()
     };

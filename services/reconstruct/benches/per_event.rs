@@ -176,6 +176,7 @@ fn stage(kind: &str, sensor: Sensor, windows_ms: &[u64]) -> Reconstruct {
             id: kind.to_owned(),
             kind: kind.to_owned(),
             channels: info.channel_order.channels(),
+            masks_hot_pixels: info.masks_hot_pixels,
             params: Params(
                 info.params
                     .iter()

@@ -130,6 +130,10 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
         .zip(&members)
         .filter(|(_, m)| !m.is_empty());
     let held = Held::new(&segments, &used.map(|(w, _)| *w).collect::<Vec<_>>());
+    let mut method = (row.make)(plan.sensor, held.slots(), &r.params).map_err(params)?;
+    if row.kind.masks_hot_pixels {
+        method.mask(plan.reconstruction_mask(reconstruction));
+    }
     Ok(Reconstruct {
         id: r.id.clone(),
         index: reconstruction as u32,
@@ -139,7 +143,7 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
         covering,
         members,
         epoch: None,
-        method: (row.make)(plan.sensor, held.slots(), &r.params).map_err(params)?,
+        method,
         rendered: Vec::with_capacity(held.slots()),
         held,
         segments,

@@ -1,10 +1,17 @@
 //! What a method of reconstruction is to the driver.
 
 use evpr_core::message::Event;
-use evpr_core::plan::{Params, Sensor};
+use evpr_core::plan::{Params, Pixel, Sensor};
 
 /// A method: keeps a fixed number of slots, each with the events of one segment, in whatever form it needs.
 pub(crate) trait Method: Send {
+    /// Is told once, before the first event, which pixels it has to leave out by itself. Only where its kind says
+    /// [`masks_hot_pixels`](evpr_core::plan::ReconstructionKind::masks_hot_pixels) and `source.hot_pixels.apply` asks
+    /// the reconstructions to; otherwise ingest has left their events out, or nobody does.
+    fn mask(&mut self, pixels: &[Pixel]) {
+        let _ = pixels;
+    }
+
     /// Enters events into a slot, in stream order; their times count from `base_us`. Events outside the sensor are
     /// left out. Returns how many were entered.
     fn accumulate(&mut self, slot: usize, events: &[Event], base_us: u64) -> usize;

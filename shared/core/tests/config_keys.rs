@@ -3,7 +3,7 @@
 
 use evpr_core::Plan;
 use evpr_core::config::{KeyDoc, Overrides, key_reference, parse, test_catalog};
-use evpr_core::plan::{Sensor, Source, Street};
+use evpr_core::plan::{HotPixelRule, HotPixelsFrom, MaskedBy, Sensor, Source, Street};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -57,8 +57,9 @@ fn every_key_is_there_once_and_described() {
 fn the_defaults_are_what_the_reference_says() {
     let mut sections: BTreeMap<String, String> = BTreeMap::new();
     for key in keys() {
-        // A deadline means something only in latest delivery, and a street's keys only with a street.
-        let means = key.key != "deadline" && key.section != "source.street";
+        // A deadline means something only in latest delivery, and these sections only when they are asked for.
+        let means =
+            key.key != "deadline" && !["source.street", "source.hot_pixels"].contains(&key.section.as_str());
         if let Some(default) = key.default.filter(|_| means) {
             *sections.entry(key.section).or_default() += &format!("{} = {default}\n", key.key);
         }
@@ -99,6 +100,29 @@ fn the_defaults_of_the_street_are_what_the_reference_says() {
     };
     assert_eq!(source(&long), source(&short));
     assert_eq!(source(&short), Source::street(Street::default()));
+}
+
+#[test]
+fn the_defaults_of_hot_pixels_are_what_the_reference_says() {
+    let stages = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
+    let short = format!("{stages}[source.hot_pixels]\nlearn = \"5s\"\n");
+    let mut long = short.clone();
+    let keys = keys().into_iter().filter(|k| k.section == "source.hot_pixels");
+    let count = keys
+        .filter_map(|k| Some((k.key, k.default?)))
+        .map(|(key, default)| long += &format!("{key} = {default}\n"))
+        .count();
+    assert_eq!(count, 3);
+    assert_eq!(plan(&long), plan(&short));
+    let hot = plan(&short).source.hot_pixels.unwrap();
+    assert_eq!((hot.masked_by, hot.pixels), (MaskedBy::Ingest, None));
+    assert_eq!(
+        hot.from,
+        HotPixelsFrom::Learn {
+            period_ns: 5_000_000_000,
+            rule: HotPixelRule::default()
+        }
+    );
 }
 
 #[test]

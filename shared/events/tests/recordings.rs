@@ -1,8 +1,10 @@
 //! Recordings of every kind, good and bad, through the public interface.
 #![allow(clippy::unwrap_used)] // helpers of tests are not seen as tests
 
-use evpr_core::plan::{Sensor, TimeUnit};
-use evpr_events::{RawEvent, ReadOptions, Recording, RecordingInfo, SourceError, SourceInfo, info};
+use evpr_core::plan::{HotPixelRule, Sensor, TimeUnit};
+use evpr_events::{
+    RawEvent, ReadOptions, Recording, RecordingInfo, SourceError, SourceInfo, estimate_hot_pixels, info,
+};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -446,6 +448,72 @@ fn info_counts_without_policies() {
     );
     let i = facts(&fixture("outside_sensor.h5"), None);
     assert_eq!((i.backward_times, i.outside_sensor), (0, Some(1)));
+}
+
+#[test]
+fn info_tells_rates_gaps_duplicates_and_hot_pixels() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.txt");
+    // 25 events in the first second at one pixel, among them one twice; then little, and a step back of 0.5 s.
+    let mut lines: String = (0..24).map(|i| format!("0.{:03} 7 5 1\n", i * 40)).collect();
+    lines += "0.920 7 5 1\n3.000 1 1 0\n2.500 2 1 0\n3.000 1 1 1\n3.500 1 1 1\n";
+    fs::write(&path, lines).unwrap();
+    let i = facts(&path, None);
+    assert_eq!((i.events, i.on_events, i.max_x, i.max_y), (29, 27, 7, 5));
+    assert_eq!(
+        (i.rate.bin_ns, i.rate.events.as_slice()),
+        (1_000_000_000, [25, 0, 1, 3].as_slice())
+    );
+    assert_eq!(i.fine_rate.events.len(), 3_501);
+    let gaps: Vec<_> = i
+        .gaps
+        .iter()
+        .map(|g| (g.from_ns / 1_000_000, g.length_ns / 1_000_000))
+        .collect();
+    assert_eq!(gaps, [(920, 2080), (3000, 500), (0, 40), (40, 40), (80, 40)]);
+    assert_eq!(
+        (i.max_gap_ns, i.backward_times, i.largest_backward_ns),
+        (2_080_000_000, 1, 500_000_000)
+    );
+    assert_eq!((i.duplicate_times, i.duplicate_events), (1, 1));
+    let hot = i.hot_pixels.unwrap();
+    assert_eq!((hot.count, hot.events, hot.worst.len()), (1, 25, 1));
+    assert_eq!(
+        (hot.worst[0].x, hot.worst[0].y, hot.worst[0].rate_hz),
+        (7, 5, 25.0 / 3.5)
+    );
+    // A damaged coordinate: whether a pixel is hot cannot be told without the sensor.
+    fs::write(&path, "0 0 0 1\n1 65535 65535 1\n").unwrap();
+    assert_eq!(facts(&path, None).hot_pixels, None);
+    let sensor = Sensor { height: 4, width: 4 };
+    assert_eq!(facts(&path, Some(sensor)).hot_pixels.unwrap().count, 0);
+}
+
+/// The camera of the corridor has the same hot pixels on both walks.
+#[test]
+fn the_hot_pixels_of_the_corridor_are_the_same_on_both_walks() {
+    let name = "the_hot_pixels_of_the_corridor_are_the_same_on_both_walks";
+    let mut found = Vec::new();
+    for file in ["query_events.h5", "reference_events.h5"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../../shared/data/corridor")
+            .join(file);
+        if !path.exists() {
+            println!("skipped: {name}: {} is absent", path.display());
+            return;
+        }
+        let rule = HotPixelRule::default();
+        let estimate = estimate_hot_pixels(&path, &ReadOptions::default(), &rule, &mut |_| ()).unwrap();
+        let pixels: Vec<_> = estimate.hot_pixels.iter().map(|h| (h.x, h.y)).collect();
+        assert_eq!(
+            estimate.hot_events,
+            estimate.hot_pixels.iter().map(|h| h.events).sum::<u64>()
+        );
+        found.push(pixels);
+    }
+    // As counted and compared by NumPy.
+    assert_eq!(found[0], [(112, 4), (51, 18), (78, 21), (112, 22)]);
+    assert!(found[0].iter().all(|p| found[1].contains(p)), "{found:?}");
 }
 
 #[test]

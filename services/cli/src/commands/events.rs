@@ -1,10 +1,9 @@
 //! `evpr events`: recordings without a graph.
 
-use crate::args::{AlignArg, EventsCommand, EventsInfoArgs, ReconstructArgs};
+use crate::args::{AlignArg, EventsCommand, ReconstructArgs};
 use crate::catalog::CATALOG;
 use crate::failure::Failure;
 use crate::frames_npy::FramesWriter;
-use crate::output::say;
 use crate::progress;
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
@@ -12,7 +11,6 @@ use evpr_core::message::{ChunkHeader, Event, FrameHeader, Frames, MemberSetting,
 use evpr_core::plan::{Align, Origin, Sensor, Source};
 use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_core::time::format_duration;
-use evpr_events::{ReadOptions, RecordingInfo};
 use evpr_runtime::Progress;
 use indicatif::ProgressBar;
 use std::fmt::Write;
@@ -22,73 +20,10 @@ use std::process::ExitCode;
 /// `evpr events …`.
 pub(crate) fn events(command: EventsCommand) -> Result<ExitCode, Failure> {
     match command {
-        EventsCommand::Info(args) => info(&args),
+        EventsCommand::Info(args) => super::events_info::info(&args),
+        EventsCommand::HotPixels(args) => super::hot_pixels::hot_pixels(&args),
         EventsCommand::Reconstruct(args) => reconstruct(&args),
     }
-}
-
-fn info(args: &EventsInfoArgs) -> Result<ExitCode, Failure> {
-    let bar = progress::bar(args.json, "reading");
-    let info = evpr_events::info(&args.input, &ReadOptions::default(), &mut |permille| {
-        bar.set_position(permille);
-    })?;
-    bar.finish_and_clear();
-    if args.json {
-        say!("{}", serde_json::to_string_pretty(&info)?);
-    } else {
-        show(&info);
-    }
-    Ok(ExitCode::SUCCESS)
-}
-
-/// The report for a person.
-fn show(info: &RecordingInfo) {
-    let row = |label: &str, value: String| say!("{label:<16} {value}");
-    let unit_from = info.source.time_unit_from;
-    row("recording", info.source.path.display().to_string());
-    row(
-        "format",
-        format!(
-            "{}, times in {} (by {unit_from})",
-            info.source.format, info.source.time_unit
-        ),
-    );
-    match (info.height, info.width) {
-        (Some(height), Some(width)) => row("sensor", Sensor { height, width }.to_string()),
-        _ => row(
-            "sensor",
-            format!(
-                "not told; largest row {}, largest column {}",
-                info.max_y, info.max_x
-            ),
-        ),
-    }
-    row(
-        "events",
-        format!("{}, {:.1} % ON", info.events, info.on_share * 100.0),
-    );
-    row(
-        "time",
-        format!(
-            "{} to {} ns, {:.3} s",
-            info.first_ns, info.last_ns, info.duration_s
-        ),
-    );
-    row(
-        "rate",
-        format!(
-            "{:.0} events/s, at most {:.0} over 100 ms",
-            info.mean_rate_hz, info.peak_rate_hz
-        ),
-    );
-    row("longest gap", format!("{:.3} ms", info.max_gap_ns as f64 / 1e6));
-    row("backward times", info.backward_times.to_string());
-    row("equal times", info.duplicate_times.to_string());
-    row(
-        "outside sensor",
-        info.outside_sensor
-            .map_or_else(|| "unknown".to_owned(), |n| n.to_string()),
-    );
 }
 
 /// The configuration that stands for the options, so that they are checked in one place.
@@ -137,20 +72,8 @@ fn as_toml(param: &str) -> String {
     }
 }
 
-fn parse_sensor(text: &str) -> Result<Sensor, Failure> {
-    let parsed = text
-        .split_once('x')
-        .and_then(|(h, w)| Some((h.parse().ok()?, w.parse().ok()?)));
-    let (height, width) = parsed.ok_or_else(|| {
-        Failure::usage(format!(
-            "--sensor {text} is not a size; write HEIGHTxWIDTH, such as 260x346"
-        ))
-    })?;
-    Ok(Sensor { height, width })
-}
-
 fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
-    let given = args.sensor.as_deref().map(parse_sensor).transpose()?;
+    let given = args.sensor.as_deref().map(super::parse_sensor).transpose()?;
     let source = Source::file(&args.input);
     let sensor = evpr_ingest::probe(&source)?.or(given).ok_or_else(|| {
         Failure::new(format!(

@@ -3,7 +3,9 @@
 mod demo;
 mod doctor;
 mod events;
+mod events_info;
 mod graph;
+mod hot_pixels;
 mod map;
 mod member;
 pub(crate) mod run;
@@ -14,6 +16,7 @@ use crate::args::{Args, Command, CompletionArgs};
 use crate::failure::Failure;
 use crate::output::say;
 use clap::CommandFactory;
+use evpr_core::plan::Sensor;
 use std::process::ExitCode;
 
 /// Does what was asked.
@@ -39,4 +42,17 @@ fn completion(args: &CompletionArgs) -> ExitCode {
     clap_complete::generate(args.shell, &mut Args::command(), "evpr", &mut script);
     say!("{}", String::from_utf8_lossy(&script).trim_end());
     ExitCode::SUCCESS
+}
+
+/// Reads the size of a sensor, such as `260x346`.
+pub(crate) fn parse_sensor(text: &str) -> Result<Sensor, Failure> {
+    let parsed = text
+        .split_once('x')
+        .and_then(|(h, w)| Some((h.parse().ok()?, w.parse().ok()?)));
+    let (height, width) = parsed.ok_or_else(|| {
+        Failure::usage(format!(
+            "--sensor {text} is not a size; write HEIGHTxWIDTH, such as 260x346"
+        ))
+    })?;
+    Ok(Sensor { height, width })
 }

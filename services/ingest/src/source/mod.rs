@@ -2,6 +2,9 @@
 
 mod street;
 
+#[cfg(test)]
+pub(crate) use street::hot_pixels as street_hot_pixels;
+
 use crate::SourceError;
 use evpr_core::plan::{Sensor, Source};
 use evpr_events::{ReadOptions, Recording};
@@ -26,6 +29,11 @@ pub fn open(source: &Source) -> Result<Box<dyn Recording>, SourceError> {
             "source.kind \"{kind}\" is not known, or incomplete; this build reads \"file\" and \"street\""
         ))),
     }
+}
+
+/// Whether opening it again gives the same events again, from the first one on.
+pub(crate) fn can_be_read_again(source: &Source) -> bool {
+    matches!(source.kind.as_str(), "file" | "street")
 }
 
 /// Asks a source for the size of its sensor. `None` when it does not say: then the configuration must. A street has

@@ -78,6 +78,7 @@ pub(crate) fn reconstruction(kind: &str) -> Reconstruction {
         id: kind.to_owned(),
         kind: kind.to_owned(),
         channels: info.channel_order.channels(),
+        masks_hot_pixels: info.masks_hot_pixels,
         params: Params(params.map(|p| (p.name.to_owned(), p.default_value())).collect()),
     }
 }

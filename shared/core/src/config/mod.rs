@@ -6,6 +6,7 @@
 
 mod error;
 mod members;
+mod noise;
 mod reader;
 mod schema;
 mod sink;
@@ -20,8 +21,8 @@ pub use error::{ConfigError, ConfigErrors};
 pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
-    ALIGNS, DELIVERIES, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, RULES, SEQUENCE_METHODS, SIMILARITIES,
-    SLICE_MODES, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
+    ALIGNS, DELIVERIES, MASKED_BY, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, RULES, SEQUENCE_METHODS,
+    SIMILARITIES, SLICE_MODES, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
 };
 
 use crate::plan::{
@@ -115,6 +116,9 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
     let slicing = slicing::slicing(root.section("slicing"));
     let reconstructions = stages::reconstructions(&root, catalog);
     let extractors = stages::extractors(&root, catalog);
+    if let (Some(source), Some(stages)) = (&source, &reconstructions.stages) {
+        noise::check_masking(sink, source.hot_pixels.as_ref(), stages);
+    }
     let parts = members::Parts::new(&reconstructions, slicing.as_ref(), &extractors);
     let members = members::ensemble(root.section("ensemble"), &parts);
     let fuse = schema::fuse(root.section("fuse"));
@@ -163,6 +167,12 @@ impl Config {
             time_unit: self.source.time_unit,
             on_backward_time: self.source.on_backward_time,
             on_outside_sensor: self.source.on_outside_sensor,
+            hot_pixels: self
+                .source
+                .hot_pixels
+                .as_ref()
+                .map(|section| section.mask.clone()),
+            filters: self.source.filters,
             ..source
         })
     }

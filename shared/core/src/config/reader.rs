@@ -47,6 +47,11 @@ impl<'r> Table<'r> {
         })
     }
 
+    /// Whether the key is there.
+    pub(super) fn has(&self, name: &str) -> bool {
+        self.table.contains_key(name)
+    }
+
     /// Every key with its value, whatever its name.
     pub(super) fn entries(&self) -> Vec<(&'r str, Value<'r>)> {
         let entry = |(key, value): (&'r Spanned<_>, &'r Spanned<_>)| {

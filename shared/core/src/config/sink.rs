@@ -36,7 +36,7 @@ pub struct KeyDoc {
 }
 
 /// A place in the configuration.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct At {
     /// Dotted path.
     pub key: String,

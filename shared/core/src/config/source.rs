@@ -1,12 +1,13 @@
 //! The section `[source]`: a recording, or the simulated street.
 
+use super::noise::{self, HotPixelsSection};
 use super::reader::{Table, Value};
 use super::schema::key;
 use super::words::{
     ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, STREET_PASSES, TIME_UNITS, Words, pace_of_factor,
     parse_pace,
 };
-use crate::plan::{OnBadEvent, Pace, Street, TimeUnit};
+use crate::plan::{Filters, OnBadEvent, Pace, Street, TimeUnit};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -36,6 +37,8 @@ pub(super) struct SourceSection {
     pub time_unit: TimeUnit,
     pub on_backward_time: OnBadEvent,
     pub on_outside_sensor: OnBadEvent,
+    pub hot_pixels: Option<HotPixelsSection>,
+    pub filters: Filters,
     pub street: Street,
 }
 
@@ -58,7 +61,7 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
             None,
             "The recording, relative to the directory that evpr is started in. `--input` takes precedence.",
         ),
-        |v| only_with(v, kind, SourceKind::File, path),
+        |v| only_with(v, kind, SourceKind::File, |v| path(v, "events.h5")),
     );
     let pace = table.read(
         key(
@@ -100,6 +103,8 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
         OnBadEvent::Error,
         |v| v.word(&ON_OUTSIDE_SENSOR),
     );
+    let hot_pixels = noise::hot_pixels(&table);
+    let filters = noise::filters(table.section("filters"));
     let street = street(table.section("street"), kind);
     table.close();
     Some(SourceSection {
@@ -109,6 +114,8 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
         time_unit: time_unit?,
         on_backward_time: on_backward_time?,
         on_outside_sensor: on_outside_sensor?,
+        hot_pixels: hot_pixels?,
+        filters: filters?,
         street: street?,
     })
 }
@@ -209,9 +216,10 @@ fn step(value: &Value<'_>) -> Option<u64> {
     }
 }
 
-fn path(value: &Value<'_>) -> Option<PathBuf> {
-    match value.text("a path in quotes, such as \"events.h5\"")? {
-        "" => value.refuse("is empty; write a path, such as \"events.h5\""),
+/// A path; `example` is one to write.
+pub(super) fn path(value: &Value<'_>, example: &str) -> Option<PathBuf> {
+    match value.text(&format!("a path in quotes, such as \"{example}\""))? {
+        "" => value.refuse(format!("is empty; write a path, such as \"{example}\"")),
         text if text.contains('\0') => value.refuse("has a zero character in it; write a path"),
         text => Some(PathBuf::from(text)),
     }

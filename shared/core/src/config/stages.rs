@@ -60,6 +60,7 @@ impl Kind for ReconstructionKind {
             kind: self.name.to_owned(),
             channels: self.channel_order.channels(),
             params,
+            masks_hot_pixels: self.masks_hot_pixels,
         })
     }
 }

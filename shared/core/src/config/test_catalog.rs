@@ -52,18 +52,21 @@ const RECONSTRUCTIONS: &[ReconstructionKind] = &[
         doc: "Counts per polarity.",
         channel_order: ChannelOrder::OffOnZero,
         params: &[],
+        masks_hot_pixels: false,
     },
     ReconstructionKind {
         name: "event_count_no_polarity",
         doc: "Counts of both polarities.",
         channel_order: ChannelOrder::Grey,
         params: &[],
+        masks_hot_pixels: false,
     },
     ReconstructionKind {
         name: "time_surface",
         doc: "Time since the last event.",
         channel_order: ChannelOrder::OnOffZero,
         params: &[TAU],
+        masks_hot_pixels: false,
     },
 ];
 

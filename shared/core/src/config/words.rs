@@ -2,8 +2,8 @@
 //! functions as the configuration.
 
 use crate::plan::{
-    Align, Delivery, OnBadEvent, Origin, Pace, Rule, SequenceMethod, Similarity, SliceMode, StreetPass,
-    TimeUnit,
+    Align, Delivery, MaskedBy, OnBadEvent, Origin, Pace, Rule, SequenceMethod, Similarity, SliceMode,
+    StreetPass, TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -56,6 +56,9 @@ pub const ON_BACKWARD_TIME: Words<'static, OnBadEvent> = Words(&[
 /// `source.on_outside_sensor`.
 pub const ON_OUTSIDE_SENSOR: Words<'static, OnBadEvent> =
     Words(&[("error", OnBadEvent::Error), ("drop", OnBadEvent::Drop)]);
+/// `source.hot_pixels.apply`.
+pub const MASKED_BY: Words<'static, MaskedBy> =
+    Words(&[("all", MaskedBy::Ingest), ("e2vid", MaskedBy::Reconstruction)]);
 /// `source.street.pass`.
 pub const STREET_PASSES: Words<'static, StreetPass> = Words(&[
     ("day", StreetPass::Day),

@@ -109,6 +109,9 @@ pub struct ReconstructionKind {
     pub channel_order: ChannelOrder,
     /// Its parameters.
     pub params: &'static [ParamInfo],
+    /// Whether it leaves hot pixels out by itself when `source.hot_pixels.apply` asks the reconstructions to: it then
+    /// takes [`super::Plan::reconstruction_mask`].
+    pub masks_hot_pixels: bool,
 }
 
 /// A kind of extractor: one row of the extract crate's registry.

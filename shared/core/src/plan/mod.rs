@@ -3,12 +3,14 @@
 
 mod channels;
 mod kind;
+mod noise;
 mod positions;
 mod slicing;
 mod source;
 
 pub use channels::{Channel, Topic};
 pub use kind::*;
+pub use noise::{Filters, HotPixelRule, HotPixels, HotPixelsFrom, MaskedBy, Pixel};
 pub use positions::{
     Crop, DEFAULT_MAX_GAP_NS, PositionClock, PositionCompat, PositionKind, Positions, UtmZone,
 };
@@ -107,6 +109,9 @@ pub struct Reconstruction {
     pub channels: usize,
     /// The method's parameters.
     pub params: Params,
+    /// Whether its kind leaves hot pixels out by itself, as [`ReconstructionKind::masks_hot_pixels`].
+    #[serde(default)]
+    pub masks_hot_pixels: bool,
 }
 
 /// One extractor of the plan.
@@ -337,6 +342,9 @@ impl Plan {
         put("reconstruction", r.kind.clone());
         put("extractor", e.kind.clone());
         put("dim", e.dim.to_string());
+        for (key, value) in self.source.noise_fingerprint(r) {
+            put(key, value);
+        }
         for (key, value) in &r.params.0 {
             put(&format!("reconstruction.{key}"), value.to_string());
         }
@@ -356,6 +364,7 @@ pub fn test_plan() -> Plan {
         kind: "event_count_no_polarity".to_owned(),
         channels: 1,
         params: Params::default(),
+        masks_hot_pixels: false,
     };
     let member = |r: usize, id: &str| Member {
         name: format!("{id}@1ms/x"),

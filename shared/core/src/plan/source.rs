@@ -1,6 +1,6 @@
 //! Where events come from.
 
-use super::Sensor;
+use super::{Filters, HotPixels, Sensor};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -19,6 +19,10 @@ pub struct Source {
     pub on_backward_time: OnBadEvent,
     /// What to do with an event outside the sensor.
     pub on_outside_sensor: OnBadEvent,
+    /// The mask of hot pixels, if there is one.
+    pub hot_pixels: Option<HotPixels>,
+    /// Filters of events.
+    pub filters: Filters,
     /// The street, when the kind is `street`.
     pub street: Option<Street>,
 }
@@ -33,6 +37,8 @@ impl Source {
             time_unit: TimeUnit::Auto,
             on_backward_time: OnBadEvent::Error,
             on_outside_sensor: OnBadEvent::Error,
+            hot_pixels: None,
+            filters: Filters::default(),
             street: None,
         }
     }

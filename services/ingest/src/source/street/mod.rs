@@ -55,6 +55,16 @@ impl Street {
     }
 }
 
+/// The hot pixels of its camera.
+#[cfg(test)]
+pub(crate) fn hot_pixels(street: &plan::Street) -> Vec<plan::Pixel> {
+    let numbers = 0..street.sensor.pixels() as u32;
+    let camera = pixels::Pixels::new(numbers.collect(), street.seed, 0);
+    let width = street.sensor.width as u32;
+    let pixel = |n: u32| plan::Pixel::from(((n % width) as u16, (n / width) as u16));
+    camera.hot_numbers().map(pixel).collect()
+}
+
 impl Recording for Street {
     fn sensor(&self) -> Option<Sensor> {
         Some(self.sensor)

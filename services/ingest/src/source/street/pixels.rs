@@ -224,6 +224,12 @@ impl Pixels {
         true
     }
 
+    /// Numbers of the hot pixels.
+    #[cfg(test)]
+    pub(super) fn hot_numbers(&self) -> impl Iterator<Item = u32> {
+        self.hot.iter().map(|(i, _)| self.numbers[*i])
+    }
+
     /// The events of hot pixels in a step, after [`Pixels::expose`] of all.
     pub(super) fn hot(&mut self, step: Step, out: &mut Vec<Spike>) {
         for h in 0..self.hot.len() {
