@@ -43,15 +43,28 @@ const ALL: u8 = SINGLE | BASE;
 pub struct Evt3Decoder {
     words: Words<2>,
     high: Clock,
-    /// Time of what follows, and its high part, ns.
-    t_ns: u64,
+    /// The high part of the time, ns.
     high_ns: u64,
-    y: u16,
-    base_x: u16,
-    base_on: bool,
+    /// The last word of each kind. Of the low halves of the time, the last since the high half changed, else 0.
+    last: [u16; 16],
+    /// How far vectors have moved on from the last base.
+    moved: u16,
     known: u8,
     passed_over: PassedOver,
 }
+
+/// Kinds of words.
+const ROW: u16 = 0x0;
+const EVENT: u16 = 0x2;
+const VECTOR_BASE: u16 = 0x3;
+const VECTOR_12: u16 = 0x4;
+const VECTOR_8: u16 = 0x5;
+const TIME_LOW: u16 = 0x6;
+const TIME_HIGH: u16 = 0x8;
+const TRIGGER: u16 = 0xa;
+
+/// Kinds at which something happens; of the others, the last word is kept.
+const ACTING: u16 = 1 << EVENT | 1 << VECTOR_BASE | 1 << VECTOR_12 | 1 << VECTOR_8 | 1 << TRIGGER;
 
 impl Default for Evt3Decoder {
     fn default() -> Self {
@@ -65,11 +78,9 @@ impl Evt3Decoder {
         Self {
             words: Words::new(),
             high: Clock::new(12, 4096 * NS_PER_US),
-            t_ns: 0,
             high_ns: 0,
-            y: 0,
-            base_x: 0,
-            base_on: false,
+            last: [0; 16],
+            moved: 0,
             known: 0,
             passed_over: PassedOver::default(),
         }
@@ -93,65 +104,110 @@ impl Evt3Decoder {
 
     /// Sensor time that the stream has come to, ns; `None` while none is known.
     pub fn time_ns(&self) -> Option<u64> {
-        (self.known & (HIGH | LOW) == HIGH | LOW).then_some(self.t_ns)
+        (self.known & (HIGH | LOW) == HIGH | LOW).then(|| self.now_ns())
     }
 
     #[inline]
-    fn word(&mut self, word: u16, out: &mut Vec<RawEvent>) {
-        match word >> 12 {
-            0x0 => {
-                self.y = word & 0x7ff;
-                self.known |= Y;
-            }
-            0x2 if self.known & SINGLE == SINGLE => out.push(RawEvent {
-                t_ns: self.t_ns,
-                x: word & 0x7ff,
-                y: self.y,
-                on: word & 0x800 != 0,
-            }),
-            0x2 => self.passed_over.before_start += 1,
-            0x3 => {
-                self.base_x = word & 0x7ff;
-                self.base_on = word & 0x800 != 0;
-                self.known |= BASE;
-            }
-            0x4 => self.vector(word & 0xfff, 12, out),
-            0x5 => self.vector(word & 0xff, 8, out),
-            0x6 if self.known & HIGH != 0 => {
-                self.t_ns = self.high_ns + u64::from(word & 0xfff) * NS_PER_US;
-                self.known |= LOW;
-            }
-            0x8 => self.time_high(word & 0xfff),
-            0xa => self.passed_over.triggers += 1,
-            _ => {}
-        }
+    fn now_ns(&self) -> u64 {
+        self.high_ns + u64::from(self.last[usize::from(TIME_LOW)] & 0xfff) * NS_PER_US
     }
 
     #[inline]
-    fn vector(&mut self, mut valid: u16, len: u16, out: &mut Vec<RawEvent>) {
-        if self.known == ALL {
-            while valid != 0 {
-                out.push(RawEvent {
-                    t_ns: self.t_ns,
-                    x: self.base_x.saturating_add(valid.trailing_zeros() as u16),
-                    y: self.y,
-                    on: self.base_on,
-                });
-                valid &= valid - 1;
-            }
-        } else {
-            self.passed_over.before_start += u64::from(valid.count_ones());
-        }
-        self.base_x = self.base_x.saturating_add(len);
+    fn row(&self) -> u16 {
+        self.last[usize::from(ROW)] & 0x7ff
     }
 
-    fn time_high(&mut self, high: u16) {
-        let high_ns = self.high.read(u32::from(high));
+    /// A vector of `len` pixels.
+    #[inline]
+    fn vector(&mut self, mut valid: u32, len: u16, out: &mut Vec<RawEvent>) {
+        let base = self.last[usize::from(VECTOR_BASE)];
+        let (x, on) = ((base & 0x7ff).saturating_add(self.moved), base & 0x800 != 0);
+        self.moved = self.moved.saturating_add(len);
+        let count = valid.count_ones() as usize;
+        if self.known != ALL {
+            self.passed_over.before_start += count as u64;
+            return;
+        }
+        let (t_ns, y) = (self.now_ns(), self.row());
+        let end = out.len() + count;
+        // By fours, which branches foresee better; what is too much goes again.
+        out.extend((0..count.next_multiple_of(4)).map(|_| {
+            let x = x.saturating_add(valid.trailing_zeros() as u16);
+            valid &= valid.wrapping_sub(1);
+            RawEvent { t_ns, x, y, on }
+        }));
+        out.truncate(end);
+    }
+
+    fn time_high(&mut self, word: u16) {
+        let high_ns = self.high.read(u32::from(word));
         if high_ns != self.high_ns || self.known & HIGH == 0 {
             self.high_ns = high_ns;
-            self.t_ns = high_ns;
+            self.last[usize::from(TIME_LOW)] = 0;
         }
-        self.known |= HIGH;
+        self.last[usize::from(TIME_HIGH)] = word;
+    }
+
+    /// Words while time or row are not known yet; what is left of them then.
+    fn first_words<'a>(&mut self, mut words: &'a [[u8; 2]], out: &mut Vec<RawEvent>) -> &'a [[u8; 2]] {
+        while let [first, rest @ ..] = words
+            && self.known & SINGLE != SINGLE
+        {
+            let word = u16::from_le_bytes(*first);
+            match word >> 12 {
+                ROW => self.known |= Y,
+                TIME_LOW if self.known & HIGH != 0 => self.known |= LOW,
+                TIME_HIGH if self.known & HIGH == 0 => {
+                    self.time_high(word);
+                    self.known |= HIGH;
+                }
+                _ => {}
+            }
+            match word >> 12 {
+                EVENT => self.passed_over.before_start += 1,
+                _ => self.words(std::slice::from_ref(first), out),
+            }
+            words = rest;
+        }
+        words
+    }
+
+    /// Words when time and row are known if an event is among them.
+    fn words(&mut self, mut words: &[[u8; 2]], out: &mut Vec<RawEvent>) {
+        while let [first, rest @ ..] = words {
+            words = rest;
+            let word = u16::from_le_bytes(*first);
+            let kind = word >> 12;
+            let last = std::mem::replace(&mut self.last[usize::from(kind)], word);
+            // Without branches up to here, as kinds follow each other without a rule.
+            if (ACTING >> kind & 1 == 0) & ((kind != TIME_HIGH) | (word == last)) {
+                continue;
+            }
+            match kind {
+                EVENT => out.push(RawEvent {
+                    t_ns: self.now_ns(),
+                    x: word & 0x7ff,
+                    y: self.row(),
+                    on: word & 0x800 != 0,
+                }),
+                VECTOR_BASE => {
+                    self.moved = 0;
+                    self.known |= BASE;
+                }
+                VECTOR_12 => match words {
+                    // A sensor sends its vectors as 12, 12 and 8: taken as one of 32.
+                    [a, b, rest @ ..] if a[1] >> 4 == VECTOR_12 as u8 && b[1] >> 4 == VECTOR_8 as u8 => {
+                        let bits = |word: &[u8; 2]| u32::from(u16::from_le_bytes(*word) & 0xfff);
+                        self.vector(bits(first) | bits(a) << 12 | bits(b) << 24, 32, out);
+                        words = rest;
+                    }
+                    _ => self.vector(u32::from(word & 0xfff), 12, out),
+                },
+                VECTOR_8 => self.vector(u32::from(word & 0xff), 8, out),
+                TIME_HIGH => self.time_high(word),
+                _ => self.passed_over.triggers += 1,
+            }
+        }
     }
 }
 
@@ -166,8 +222,9 @@ impl Decoder for Evt3Decoder {
 
     fn decode(&mut self, bytes: &[u8], out: &mut Vec<RawEvent>) {
         let (first, whole) = self.words.split(bytes);
-        for word in first.iter().chain(whole) {
-            self.word(u16::from_le_bytes(*word), out);
+        for words in [first.as_slice(), whole] {
+            let words = self.first_words(words, out);
+            self.words(words, out);
         }
     }
 
