@@ -23,7 +23,7 @@ const HEAD_BYTES: usize = 4096;
 /// What a reader needs to be told where the recording itself does not say it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReadOptions {
-    /// Unit of times; counts for text, NumPy and Parquet.
+    /// Unit of times; counts where a format leaves it open, as text does.
     pub time_unit: TimeUnit,
     /// Which stream, topic or member of an archive to read where there are several; else the first one.
     pub stream: Option<String>,
@@ -106,7 +106,7 @@ static FORMATS: &[Format] = &[
         extensions: &["h5", "hdf5", "he5"],
         detects: is_hdf5,
         conclusive: true,
-        open: Open::File(|path, _| Ok(Box::new(hdf5::Hdf5::open(path)?))),
+        open: Open::File(|path, options| Ok(Box::new(hdf5::Hdf5::open(path, options)?))),
         otherwise: "has the ending of an HDF5 file but not its signature; it is damaged or of another format",
     },
     Format {

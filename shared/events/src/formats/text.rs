@@ -6,8 +6,7 @@
 //! four columns.
 //!
 //! Times are read as exact decimals. Their unit is the configuration's, or else decided by the first time: a decimal
-//! point or an exponent means seconds; without one, its size decides: from 10^17 on nanoseconds, from 10^14 on
-//! microseconds (of the epoch), from 10^12 on milliseconds (of the epoch), below that microseconds.
+//! point or an exponent means seconds; without one, its size decides (see `times`).
 
 use super::decimal::{DecimalError, parse_ns};
 use super::lines::Lines;

@@ -72,13 +72,22 @@ pub(super) fn whole_ns(time: i64, scale: u64) -> Option<u64> {
     (ns <= MAX_TIME_NS).then_some(ns)
 }
 
-/// A floating-point number of units of `scale` ns each, to the nearest ns; `None` when it is negative, beyond
-/// [`MAX_TIME_NS`] or no number.
+/// A floating-point number of units of `scale` ns each; `None` when it is negative, beyond [`MAX_TIME_NS`] or no number.
+///
+/// A binary fraction stands for the decimal that it was made of: that of whole microseconds if this gives the same
+/// `f64` back, else that of the nearest nanosecond. So 1587452582.35 s is not 95 ns early.
 #[inline]
 pub(super) fn float_ns(time: f64, scale: u64) -> Option<u64> {
+    // Up to here an f64 tells whole numbers apart.
+    const WHOLE: f64 = (1u64 << 53) as f64;
     let time = time + 0.0; // -0 becomes 0
     if !(0.0..9.3e18).contains(&time) {
         return None;
+    }
+    let us_scale = (scale / 1_000) as f64;
+    let us = time * us_scale + 0.5;
+    if us_scale >= 1.0 && us < WHOLE && us.trunc() / us_scale == time {
+        return (us as u64).checked_mul(1_000).filter(|ns| *ns <= MAX_TIME_NS);
     }
     // The whole part is scaled exactly; the fraction, which is exact too, keeps its digits.
     let whole = (time.trunc() as u64).checked_mul(scale)?;
@@ -96,6 +105,13 @@ mod tests {
             (0.1, 1_000_000_000, Some(100_000_000)),
             (-0.0, 1_000_000_000, Some(0)),
             (1.000_000_001, 1_000_000_000, Some(1_000_000_001)),
+            (1_587_452_582.35, 1_000_000_000, Some(1_587_452_582_350_000_000)),
+            (
+                1_587_452_582.350_001,
+                1_000_000_000,
+                Some(1_587_452_582_350_001_000),
+            ),
+            (0.25, 1_000_000, Some(250_000)),
             (1_587_452_582.5, 1_000_000_000, Some(1_587_452_582_500_000_000)),
             (1e15, 1000, Some(1_000_000_000_000_000_000)),
             (9_223_372_036.9, 1_000_000_000, None),
