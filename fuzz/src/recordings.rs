@@ -2,8 +2,9 @@
 
 use evpr_core::plan::Sensor;
 use evpr_events::formats::aedat4_network;
-use evpr_events::{BATCH_EVENTS, Input, MAX_TIME_NS, ReadOptions, Recording, SourceError, open_input};
+use evpr_events::{BATCH_EVENTS, Input, MAX_TIME_NS, ReadOptions, Recording, SourceError, open, open_input};
 use std::io::Cursor;
+use std::{fs, thread};
 
 /// AEDAT4, as a file and as a network stream.
 pub fn aedat4(data: &[u8]) {
@@ -28,19 +29,42 @@ pub fn es(data: &[u8]) {
     read(open_input(input(data), &ReadOptions::default()));
 }
 
+/// HDF5, which is read in any order and so from a file.
+pub fn hdf5(data: &[u8]) {
+    let path = std::env::temp_dir().join(format!(
+        "evpr-fuzz-{}-{:?}.h5",
+        std::process::id(),
+        thread::current().id()
+    ));
+    // What would be read endlessly: values that are not stored count as 0, however many there are said to be.
+    const BATCHES: usize = 64;
+    fs::write(&path, data).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    read_some(open(&path, &ReadOptions::default()), BATCHES);
+    if let Ok(mut recording) = open(&path, &ReadOptions::default()) {
+        let _ = recording.seek_before(1_600_000_000_500_000_000);
+        let _ = recording.next_batch(&mut Vec::new());
+    }
+    let _ = fs::remove_file(&path);
+}
+
 fn input(data: &[u8]) -> Input {
     Input::new("fuzz", Cursor::new(data.to_vec()))
 }
 
 /// Reads to the end, and checks what every recording promises.
 fn read(recording: Result<Box<dyn Recording>, SourceError>) {
+    read_some(recording, usize::MAX);
+}
+
+/// As `read`, but at most so many batches.
+fn read_some(recording: Result<Box<dyn Recording>, SourceError>, batches: usize) {
     let one_line = |e: SourceError| assert!(!e.to_string().contains('\n'), "{e}");
     let mut recording = match recording {
         Ok(recording) => recording,
         Err(e) => return one_line(e),
     };
     let mut batch = Vec::new();
-    loop {
+    for _ in 0..batches {
         let outcome = recording.next_batch(&mut batch);
         assert!(batch.len() <= BATCH_EVENTS && batch.iter().all(|e| e.t_ns <= MAX_TIME_NS));
         match outcome {

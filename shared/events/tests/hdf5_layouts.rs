@@ -1,10 +1,12 @@
-//! The layouts of HDF5 beside NSAVP's, good and bad, through the public interface.
+//! The layouts of HDF5 beside NSAVP's, good and bad, and HDF5 that is written, through the public interface.
 #![allow(clippy::unwrap_used)] // helpers of tests are not seen as tests
 
 use evpr_core::plan::{Sensor, TimeUnit};
+use evpr_events::writers::{self, WriteOptions};
 use evpr_events::{RawEvent, ReadOptions, Recording, SourceError, open};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// What `make_fixtures.py` adds to the times of DSEC's files, ns.
 const T_OFFSET_NS: u64 = 1_600_000_000_000_000_000;
@@ -214,5 +216,85 @@ fn truncated_and_damaged_files_never_panic() {
             let (events, error) = read(&path);
             assert!(!error.is_empty() || events.len() == 300, "{name}: {len}");
         }
+    }
+}
+
+/// Event `i` of a file that is written here.
+fn made(i: u64) -> RawEvent {
+    RawEvent {
+        t_ns: 1_600_000_000_000_000_000 + 1_000 * i + i % 7,
+        x: (i % 346) as u16,
+        y: (7 * i % 260) as u16,
+        on: i / 3 % 2 == 1,
+    }
+}
+
+/// Writes so many events, in batches that do not fit the chunks.
+fn write(path: &Path, count: u64, sensor: Option<Sensor>) {
+    let mut writer = writers::create(path, &WriteOptions { sensor }).unwrap();
+    let events: Vec<_> = (0..count).map(made).collect();
+    for batch in events.chunks(50_001) {
+        writer.write(batch).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// Full and part chunks, and more of them than one node of an index holds.
+const COUNTS: [u64; 5] = [1, 32_768, 32_769, 100_000, 65 * 32_768 + 5];
+const WRITTEN: Sensor = Sensor {
+    height: 260,
+    width: 346,
+};
+
+#[test]
+fn what_is_written_is_read_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("written.h5");
+    for count in COUNTS {
+        let sensor = (count != 1).then_some(WRITTEN);
+        write(&path, count, sensor);
+        let (events, error) = read(&path);
+        assert_eq!((events.len() as u64, error.as_str()), (count, ""));
+        assert!((0..count).zip(&events).all(|(i, e)| made(i) == *e), "{count}");
+        assert_eq!(open(&path, &ReadOptions::default()).unwrap().sensor(), sensor);
+    }
+    write(&path, 0, None);
+    assert!(read(&path).1.contains("holds no events"));
+}
+
+#[test]
+fn h5py_reads_what_is_written() {
+    let name = "h5py_reads_what_is_written";
+    let python = std::env::var("EVPR_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let run = |script: &str, path: &Path| Command::new(&python).args(["-c", script]).arg(path).output();
+    if !run("import h5py, numpy", Path::new("-")).is_ok_and(|o| o.status.success()) {
+        println!("skipped: {name}: {python} has no h5py");
+        return;
+    }
+    let script = "
+import sys, h5py, numpy as np
+f = h5py.File(sys.argv[1])
+e = f['events']
+i = np.arange(len(e['timestamps']), dtype='u8')
+want = dict(timestamps=1_600_000_000_000_000_000 + 1000*i + i % 7, x_coordinates=(i % 346).astype('u2'),
+            y_coordinates=(7*i % 260).astype('u2'), polarities=(i//3 % 2).astype('u1'))
+assert set(e) == set(want), set(e)
+for name, values in want.items():
+    d = e[name]
+    assert d.dtype == values.dtype and np.array_equal(d[:], values), name
+    assert (d.chunks, d.compression, d.shuffle) == ((32768,), 'gzip', True), name
+assert dict(e.attrs) == dict(height=260, width=346)
+print(len(i))
+";
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("written.h5");
+    for count in COUNTS.into_iter().chain([0]) {
+        write(&path, count, Some(WRITTEN));
+        let output = run(script, &path).unwrap();
+        let (said, error) = (
+            String::from_utf8_lossy(&output.stdout),
+            String::from_utf8_lossy(&output.stderr),
+        );
+        assert_eq!(said.trim(), count.to_string(), "{error}");
     }
 }

@@ -141,7 +141,7 @@ static FORMATS: &[Format] = &[
 ];
 
 /// What is read, for messages.
-const READ: &str = "Prophesee RAW and DAT, AEDAT4, HDF5 in the NSAVP layout, NumPy, and text lines \"t x y p\", also \
+const READ: &str = "Prophesee RAW and DAT, AEDAT4, HDF5, NumPy, and text lines \"t x y p\", also \
                     inside gzip or zip";
 
 /// Formats that are known by their first bytes, and not read.

@@ -6,7 +6,9 @@
 mod aedat4;
 mod csv;
 mod error;
+mod hdf5_structure;
 mod new_file;
+mod nsavp;
 mod numpy;
 
 use crate::RawEvent;
@@ -69,6 +71,11 @@ static KINDS: &[Kind] = &[
         extensions: &["aedat4"],
         resolution_ns: 1000,
         create: |path, options| Ok(Box::new(aedat4::Aedat4::create(path, options)?)),
+    },
+    Kind {
+        extensions: &["h5", "hdf5"],
+        resolution_ns: 1,
+        create: |path, options| Ok(Box::new(nsavp::Nsavp::create(path, options.sensor)?)),
     },
 ];
 

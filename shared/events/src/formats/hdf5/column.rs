@@ -2,7 +2,7 @@
 
 use super::super::unit::{float_ns, whole_ns};
 use super::{type_name, unreadable};
-use crate::BATCH_EVENTS;
+use crate::{BATCH_EVENTS, MAX_TIME_NS};
 use hdf5_reader::error::{Error, Result as Hdf5Result};
 use hdf5_reader::{Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem};
 use std::fmt::Display;
@@ -245,6 +245,19 @@ fn converted<S: Number, T>(
     })
 }
 
+const TIMES: &str = "from 0 to the year 2262";
+
+/// Reads times that need no change.
+fn nanoseconds() -> Load<u64> {
+    Box::new(|dataset, part| {
+        let mut values = dataset.read_slice::<u64>(part)?.into_raw_vec_and_offset().0;
+        let bad = values.iter().position(|t| *t > MAX_TIME_NS);
+        let wrong = bad.map(|bad| format!("time {}; it must be {TIMES}", values[bad]));
+        values.truncate(bad.unwrap_or(values.len()));
+        Ok(Loaded { values, wrong })
+    })
+}
+
 fn is_unsigned(dtype: &Datatype, bytes: u8) -> bool {
     matches!(dtype, Datatype::FixedPoint { size, signed: false, .. } if *size == bytes)
 }
@@ -303,9 +316,9 @@ impl ForType for Time {
         let Self { scale, offset_ns } = self;
         let convert = move |v: S| {
             let ns = v.ns(scale)?.checked_add(offset_ns);
-            ns.filter(|ns| *ns <= crate::MAX_TIME_NS)
+            ns.filter(|ns| *ns <= MAX_TIME_NS)
         };
-        converted(convert, "time", "from 0 to the year 2262")
+        converted(convert, "time", TIMES)
     }
 }
 
@@ -317,7 +330,7 @@ pub(super) fn times(
     offset_ns: u64,
 ) -> Result<Column<u64>, String> {
     let load = match dataset.dtype() {
-        dtype if is_unsigned(dtype, 8) && scale == 1 && offset_ns == 0 => same(),
+        dtype if is_unsigned(dtype, 8) && scale == 1 && offset_ns == 0 => nanoseconds(),
         dtype => {
             let time = Time { scale, offset_ns };
             for_type(dtype, time).ok_or_else(|| not_a_number(&path, dtype))?
