@@ -147,7 +147,7 @@ impl Writer for Nsavp {
     }
 
     fn finish(mut self: Box<Self>) -> Result<(), WriteError> {
-        if self.events % CHUNK_EVENTS as u64 != 0 {
+        if !self.events.is_multiple_of(CHUNK_EVENTS as u64) {
             self.write_chunks()?;
         }
         self.describe()?;
