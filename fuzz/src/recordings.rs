@@ -38,7 +38,11 @@ pub fn hdf5(data: &[u8]) {
     ));
     // What would be read endlessly: values that are not stored count as 0, however many there are said to be.
     const BATCHES: usize = 64;
-    assert!(fs::write(&path, data).is_ok(), "{} cannot be written", path.display());
+    assert!(
+        fs::write(&path, data).is_ok(),
+        "{} cannot be written",
+        path.display()
+    );
     read_some(open(&path, &ReadOptions::default()), BATCHES);
     if let Ok(mut recording) = open(&path, &ReadOptions::default()) {
         let _ = recording.seek_before(1_600_000_000_500_000_000);
