@@ -8,5 +8,6 @@ mod corridor;
 mod deaths;
 mod demo;
 mod members;
+mod noise;
 mod replay;
 mod support;
