@@ -6,6 +6,7 @@
 mod aedat4;
 mod csv;
 mod error;
+mod evt3;
 mod hdf5_structure;
 mod new_file;
 mod nsavp;
@@ -76,6 +77,11 @@ static KINDS: &[Kind] = &[
         extensions: &["h5", "hdf5"],
         resolution_ns: 1,
         create: |path, options| Ok(Box::new(nsavp::Nsavp::create(path, options.sensor)?)),
+    },
+    Kind {
+        extensions: &["raw"],
+        resolution_ns: 1000,
+        create: |path, options| Ok(Box::new(evt3::Evt3::create(path, options)?)),
     },
 ];
 

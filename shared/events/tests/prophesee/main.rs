@@ -6,3 +6,4 @@ mod real;
 mod streams;
 mod traps;
 mod words;
+mod written;
