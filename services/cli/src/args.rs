@@ -1,8 +1,9 @@
 //! The command line.
 
+use crate::commands::Crop;
 use clap::{Parser, Subcommand, ValueEnum};
 use evpr_core::config::{parse_origin, parse_pace};
-use evpr_core::plan::{Origin, Pace};
+use evpr_core::plan::{Origin, Pace, TimeUnit};
 use evpr_core::time::parse_duration_ns;
 use std::path::PathBuf;
 
@@ -175,6 +176,10 @@ pub(crate) enum EventsCommand {
     HotPixels(HotPixelsArgs),
     /// Frames of a recording as a NumPy array
     Reconstruct(ReconstructArgs),
+    /// A recording in another format, or a piece of one
+    Convert(ConvertArgs),
+    /// Frames of a recording as pictures
+    Render(RenderArgs),
 }
 
 #[derive(Debug, Parser)]
@@ -212,6 +217,81 @@ pub(crate) struct HotPixelsArgs {
 fn factor(text: &str) -> Result<f64, String> {
     let factor = text.parse::<f64>().ok().filter(|f| f.is_finite() && *f > 1.0);
     factor.ok_or_else(|| "not a factor; give a number above 1".to_owned())
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct ConvertArgs {
+    /// The recording
+    #[arg(value_name = "IN")]
+    pub(crate) input: PathBuf,
+    /// The recording to write; its ending says the format
+    #[arg(value_name = "OUT")]
+    pub(crate) output: PathBuf,
+    /// Leave out what comes before, counted from the first event, such as 1.5s
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    pub(crate) start: Option<u64>,
+    /// Write only so much, such as 2s
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    pub(crate) duration: Option<u64>,
+    /// Keep only this rectangle; its corner becomes column 0, row 0
+    #[arg(long, value_name = "X,Y,W,H")]
+    pub(crate) crop: Option<Crop>,
+    /// Leave out the pixels of this file: a line "x,y" for each
+    #[arg(long, value_name = "FILE")]
+    pub(crate) mask: Option<PathBuf>,
+    /// Sensor size, such as 260x346 (height x width), where the recording does not tell
+    #[arg(long, value_name = "HxW")]
+    pub(crate) sensor: Option<String>,
+    /// Unit of times of text and NumPy: s, ms, us or ns
+    #[arg(long, value_name = "UNIT", value_parser = time_unit)]
+    pub(crate) time_unit: Option<TimeUnit>,
+    /// The stream, topic or member of an archive, where there are several
+    #[arg(long, value_name = "NAME")]
+    pub(crate) stream: Option<String>,
+    /// Replace OUT if it exists
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct RenderArgs {
+    /// The recording
+    #[arg(value_name = "IN")]
+    pub(crate) input: PathBuf,
+    /// An animated .gif, or a folder (that does not exist yet) of .png files
+    #[arg(short, long, value_name = "OUT")]
+    pub(crate) out: PathBuf,
+    /// event_count, event_count_no_polarity or time_surface
+    #[arg(short, long, value_name = "METHOD", default_value = "event_count")]
+    pub(crate) method: String,
+    /// Length of the window, such as 50ms
+    #[arg(short, long, value_name = "DURATION", default_value = "50ms", value_parser = duration)]
+    pub(crate) window: u64,
+    /// Period of the pictures; that of the window when left out
+    #[arg(short, long, value_name = "DURATION", value_parser = duration)]
+    pub(crate) tick: Option<u64>,
+    /// A parameter of the method, such as tau=50ms; may be repeated
+    #[arg(short, long, value_name = "NAME=VALUE")]
+    pub(crate) param: Vec<String>,
+    /// Sensor size, such as 260x346 (height x width), where the recording does not tell
+    #[arg(long, value_name = "HxW")]
+    pub(crate) sensor: Option<String>,
+    /// At most so many pictures
+    #[arg(long, value_name = "N")]
+    pub(crate) frames: Option<u64>,
+    /// Replace OUT if it is a file that exists
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
+fn time_unit(text: &str) -> Result<TimeUnit, String> {
+    match text {
+        "s" => Ok(TimeUnit::S),
+        "ms" => Ok(TimeUnit::Ms),
+        "us" => Ok(TimeUnit::Us),
+        "ns" => Ok(TimeUnit::Ns),
+        _ => Err("not a unit; give s, ms, us or ns".to_owned()),
+    }
 }
 
 fn duration(text: &str) -> Result<u64, String> {

@@ -3,14 +3,14 @@
 mod demo;
 mod doctor;
 mod events;
-mod events_info;
 mod graph;
-mod hot_pixels;
 mod map;
 mod member;
 pub(crate) mod run;
 mod sequence_match;
 mod service;
+
+pub(crate) use events::Crop;
 
 use crate::args::{Args, Command, CompletionArgs};
 use crate::failure::Failure;

@@ -16,7 +16,11 @@ pub(crate) fn hot_pixels(args: &HotPixelsArgs) -> Result<ExitCode, Failure> {
         factor: args.factor.unwrap_or(default.factor),
         min_rate_hz: args.min_rate_hz.unwrap_or(default.min_rate_hz),
     };
-    let sensor = args.sensor.as_deref().map(super::parse_sensor).transpose()?;
+    let sensor = args
+        .sensor
+        .as_deref()
+        .map(crate::commands::parse_sensor)
+        .transpose()?;
     let options = ReadOptions {
         sensor,
         ..ReadOptions::default()

@@ -1,30 +1,19 @@
-//! `evpr events`: recordings without a graph.
+//! Frames of a recording without a graph: ingest and one reconstruction in this process.
 
-use crate::args::{AlignArg, EventsCommand, ReconstructArgs};
+use crate::args::{AlignArg, ReconstructArgs};
 use crate::catalog::CATALOG;
+use crate::commands::parse_sensor;
 use crate::failure::Failure;
-use crate::frames_npy::FramesWriter;
 use crate::progress;
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
-use evpr_core::message::{ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader, TickKind};
+use evpr_core::message::{ChunkHeader, Event, Frames, MemberSetting, TickHeader, TickKind};
 use evpr_core::plan::{Align, Origin, Sensor, Source};
 use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_core::time::format_duration;
 use evpr_runtime::Progress;
 use indicatif::ProgressBar;
 use std::fmt::Write;
-use std::path::Path;
-use std::process::ExitCode;
-
-/// `evpr events …`.
-pub(crate) fn events(command: EventsCommand) -> Result<ExitCode, Failure> {
-    match command {
-        EventsCommand::Info(args) => super::events_info::info(&args),
-        EventsCommand::HotPixels(args) => super::hot_pixels::hot_pixels(&args),
-        EventsCommand::Reconstruct(args) => reconstruct(&args),
-    }
-}
 
 /// The configuration that stands for the options, so that they are checked in one place.
 fn as_config(args: &ReconstructArgs, sensor: Sensor) -> String {
@@ -72,8 +61,9 @@ fn as_toml(param: &str) -> String {
     }
 }
 
-fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
-    let given = args.sensor.as_deref().map(super::parse_sensor).transpose()?;
+/// The plan of one method, window and tick.
+pub(super) fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
+    let given = args.sensor.as_deref().map(parse_sensor).transpose()?;
     let source = Source::file(&args.input);
     let sensor = evpr_ingest::probe(&source)?.or(given).ok_or_else(|| {
         Failure::new(format!(
@@ -90,41 +80,30 @@ fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
 }
 
 /// Ingest and one reconstruction chained in this process.
-struct Chain<'a> {
-    stage: evpr_reconstruct::Reconstruct,
+pub(super) struct Chain<O> {
+    pub(super) stage: evpr_reconstruct::Reconstruct,
+    pub(super) out: O,
+    pub(super) bar: ProgressBar,
     events: Vec<Event>,
     seq: u64,
-    end: Option<u64>,
-    out: WriteFrames<'a>,
-    bar: ProgressBar,
+    /// The tick at which the recording ended, once it has.
+    pub(super) end: Option<u64>,
 }
 
-struct WriteFrames<'a> {
-    writer: FramesWriter,
-    path: &'a Path,
-    frame: Vec<u8>,
-}
-
-impl Outlet<Frames> for WriteFrames<'_> {
-    fn emit(
-        &mut self,
-        header: FrameHeader,
-        len: usize,
-        fill: &mut dyn FnMut(&mut [u8]),
-    ) -> Result<(), StageError> {
-        if header.reason != 0 {
-            return Ok(());
-        }
-        self.frame.clear();
-        self.frame.resize(len, 0);
-        fill(&mut self.frame);
-        self.writer
-            .write(header.tick, &self.frame)
-            .map_err(|e| StageError::Fatal(format!("cannot write {}: {e}", self.path.display())))
+impl<O> Chain<O> {
+    pub(super) fn new(plan: &Plan, out: O, what: &str) -> Result<Self, Failure> {
+        Ok(Self {
+            stage: evpr_reconstruct::build(plan, 0)?,
+            out,
+            bar: progress::bar(false, what),
+            events: Vec::new(),
+            seq: 0,
+            end: None,
+        })
     }
 }
 
-impl IngestPort for Chain<'_> {
+impl<O: Outlet<Frames>> IngestPort for Chain<O> {
     fn now_ns(&self) -> u64 {
         evpr_runtime::now_ns()
     }
@@ -169,45 +148,4 @@ impl IngestPort for Chain<'_> {
             },
         );
     }
-}
-
-fn reconstruct(args: &ReconstructArgs) -> Result<ExitCode, Failure> {
-    let plan = offline_plan(args)?;
-    let stage = evpr_reconstruct::build(&plan, 0)?;
-    let Sensor { height, width } = plan.sensor;
-    let writer = FramesWriter::create(&args.out, height, width, plan.reconstructions[0].channels)
-        .map_err(|e| Failure::new(format!("cannot write {}: {e}", args.out.display())))?;
-    let mut chain = Chain {
-        stage,
-        events: Vec::new(),
-        seq: 0,
-        end: None,
-        out: WriteFrames {
-            writer,
-            path: &args.out,
-            frame: Vec::new(),
-        },
-        bar: progress::bar(false, "reconstructing"),
-    };
-    let stop = evpr_runtime::Stop::new();
-    let ingest = evpr_ingest::Ingest::new(&plan, 0, 1, stop.signal().clone())?;
-    let outcome = ingest.run(&mut chain);
-    chain.bar.finish_and_clear();
-    // A recording that fails in its middle has an end too: the array then holds the ticks before.
-    let ticks = chain.end.unwrap_or(0);
-    chain
-        .out
-        .writer
-        .finish(ticks)
-        .map_err(|e| Failure::new(format!("cannot write {}: {e}", args.out.display())))?;
-    outcome?;
-    if ticks == 0 {
-        return Err(Failure::new(format!(
-            "{} is shorter than one tick of {}; there is no frame to write",
-            args.input.display(),
-            plan.slicing.tick_id()
-        )));
-    }
-    eprintln!("{ticks} frames written to {}", args.out.display());
-    Ok(ExitCode::SUCCESS)
 }

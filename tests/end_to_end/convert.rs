@@ -1,0 +1,233 @@
+//! `evpr events convert` and `evpr events render`.
+
+use super::support::{Bench, text};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use std::fs;
+use std::process::Stdio;
+
+/// 1000 events, one per 1.5 ms from 1 s on, along the rows of a sensor of 8 × 10 pixels.
+fn recording(bench: &Bench) {
+    let mut lines = "10 8\n".to_owned();
+    for i in 0..1000u64 {
+        let t_ns = 1_000_000_000 + i * 1_500_000 + 1;
+        let (x, y, p) = (i % 10, i / 10 % 8, i % 3 / 2);
+        lines += &format!(
+            "{}.{:09} {x} {y} {p}\n",
+            t_ns / 1_000_000_000,
+            t_ns % 1_000_000_000
+        );
+    }
+    bench.file("in.txt", &lines);
+}
+
+fn lines(bench: &Bench, name: &str) -> Vec<String> {
+    let text = fs::read_to_string(bench.path(name)).unwrap();
+    text.lines().skip(1).map(str::to_owned).collect()
+}
+
+/// Names in the bench's folder.
+fn files(bench: &Bench) -> Vec<String> {
+    let mut names: Vec<String> = fs::read_dir(bench.folder.path())
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_recording_goes_through_every_format_and_comes_back() {
+    let bench = Bench::new();
+    recording(&bench);
+    let done = |args: &[&str]| {
+        let said = bench.run(&[&["events", "convert"], args].concat());
+        assert_eq!(said.code(), 0, "{args:?}: {}", said.stderr);
+        said.stderr
+    };
+    done(&["in.txt", "truth.csv"]);
+    let truth = lines(&bench, "truth.csv");
+    assert_eq!(truth.len(), 1000);
+    assert_eq!(truth[3], "1.004500001,3,0,0");
+    for extension in evpr_events::writers::extensions() {
+        let there = format!("there.{extension}");
+        let back = format!("{extension}.back.csv");
+        let resolution = evpr_events::writers::resolution_ns(there.as_ref()).unwrap();
+        let said = done(&["in.txt", &there, "--sensor", "8x10"]);
+        assert!(said.contains("1000 events written to"), "{said}");
+        assert_eq!(said.contains("rounded down to"), resolution > 1, "{said}");
+        done(&[&there, &back]);
+        let wants: Vec<String> = truth
+            .iter()
+            .map(|line| {
+                let (time, rest) = line.split_once(',').unwrap();
+                let ns: u64 = time.replace('.', "").parse().unwrap();
+                let ns = ns / resolution * resolution;
+                format!("{}.{:09},{rest}", ns / 1_000_000_000, ns % 1_000_000_000)
+            })
+            .collect();
+        assert_eq!(lines(&bench, &back), wants, "{extension}");
+    }
+}
+
+#[test]
+fn a_piece_of_a_recording_is_cut_out() {
+    let bench = Bench::new();
+    recording(&bench);
+    let mask = bench.file("mask.txt", "# dead\n4,2\n 5 , 2 # hot\n");
+    for name in ["in.txt", "in.npy"] {
+        let said = bench.run(&[
+            "events",
+            "convert",
+            name,
+            "out.csv",
+            "--force",
+            "--start",
+            "150ms",
+            "--duration",
+            "300ms",
+            "--crop",
+            "3,1,4,5",
+            "--mask",
+            text(&mask),
+        ]);
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        // Events 100 to 299: of the columns 3 to 6 and rows 1 to 5, without the two pixels of the mask.
+        let wants: Vec<String> = (100..300u64)
+            .map(|i| (i, i % 10, i / 10 % 8))
+            .filter(|(_, x, y)| (3..7).contains(x) && (1..6).contains(y) && !(*y == 2 && (4..6).contains(x)))
+            .map(|(i, x, y)| {
+                let t_ns = 1_000_000_000 + i * 1_500_000 + 1;
+                let (s, ns) = (t_ns / 1_000_000_000, t_ns % 1_000_000_000);
+                format!("{s}.{ns:09},{},{},{}", x - 3, y - 1, i % 3 / 2)
+            })
+            .collect();
+        assert_eq!(lines(&bench, "out.csv"), wants, "{name}");
+        // The second time from a format that can be entered anywhere.
+        assert_eq!(
+            bench
+                .run(&["events", "convert", "in.txt", "in.npy", "--force"])
+                .code(),
+            0
+        );
+    }
+}
+
+#[test]
+fn what_cannot_be_converted_is_said_in_one_line() {
+    let bench = Bench::new();
+    recording(&bench);
+    bench.file("mask.txt", "1,2\n3;4\n");
+    bench.file("there.csv", "older");
+    let before = files(&bench);
+    for (args, code, wants) in [
+        (&["in.txt", "there.csv"][..], 1, "give --force"),
+        (&["in.txt", "out.xyz"], 1, "use one of .csv"),
+        (&["in.txt", "none/out.csv"], 1, "none/out.csv: cannot be written"),
+        (&["none.txt", "out.csv"], 1, "there is no such file"),
+        (&["in.txt", "out.csv", "--start", "1h"], 1, "nothing is written"),
+        (&["in.txt", "out.csv", "--mask", "mask.txt"], 1, "line 2"),
+        (
+            &["in.txt", "out.csv", "--mask", "none"],
+            1,
+            "none: cannot be read",
+        ),
+        (
+            &["in.txt", "out.csv", "--crop", "5,5,6,1"],
+            2,
+            "beyond the sensor",
+        ),
+        (
+            &["in.txt", "out.csv", "--crop", "5,5"],
+            2,
+            "column,row,width,height",
+        ),
+        (&["in.txt", "out.csv", "--sensor", "8"], 2, "--sensor 8"),
+    ] {
+        let said = bench.run(&[&["events", "convert"], args].concat());
+        assert_eq!(said.code(), code, "{args:?}: {}", said.stderr);
+        assert!(said.stderr.contains(wants), "{args:?}: {}", said.stderr);
+        assert_eq!(said.errors().len(), 1, "{}", said.stderr);
+        assert_eq!(files(&bench), before, "{args:?}");
+    }
+    assert_eq!(fs::read(bench.path("there.csv")).unwrap(), b"older");
+}
+
+#[test]
+fn ctrl_c_leaves_nothing_half_written() {
+    let bench = Bench::new();
+    let rows = 4_000_000u64;
+    let header = format!(
+        "{{'descr': [('t', '<i8'), ('x', '<u2'), ('y', '<u2'), ('p', '|u1')], 'fortran_order': False, 'shape': \
+         ({rows},), }}\n"
+    );
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    for i in 0..rows {
+        bytes.extend(i.to_le_bytes());
+        bytes.extend([0; 5]);
+    }
+    fs::write(bench.path("in.npy"), bytes).unwrap();
+    for out in [
+        &["convert", "in.npy", "out.npz"][..],
+        &[
+            "render", "in.npy", "--sensor", "8x8", "-w", "1ms", "-o", "out.gif",
+        ],
+    ] {
+        let mut child = bench
+            .evpr()
+            .arg("events")
+            .args(out)
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let partial = bench.path(&format!("{}.partial", out.last().unwrap()));
+        // It has begun when the partial file is there; signals are listened for before the first event is read.
+        while !partial.exists() && child.try_wait().unwrap().is_none() {
+            std::thread::yield_now();
+        }
+        while child.try_wait().unwrap().is_none() && fs::metadata(&partial).is_ok_and(|m| m.len() == 0) {
+            std::thread::yield_now();
+            if out[0] == "convert" {
+                break; // columns wait elsewhere
+            }
+        }
+        kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{out:?}");
+        assert_eq!(files(&bench), ["in.npy"], "{out:?}");
+    }
+}
+
+#[test]
+fn frames_become_pictures() {
+    let bench = Bench::new();
+    recording(&bench);
+    for method in ["event_count", "event_count_no_polarity", "time_surface"] {
+        let said = bench.run(&[
+            "events", "render", "in.txt", "-m", method, "-o", "a.gif", "--force",
+        ]);
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        let gif = fs::read(bench.path("a.gif")).unwrap();
+        assert!(gif.starts_with(b"GIF89a\x0a\x00\x08\x00") && gif.ends_with(b";"));
+        // 1.5 s in pictures of 50 ms; the last one would not be whole.
+        assert!(
+            said.stderr.contains("29 pictures written to a.gif"),
+            "{}",
+            said.stderr
+        );
+    }
+    let folder = [
+        "events", "render", "in.txt", "-w", "20ms", "-t", "100ms", "--frames", "5", "-o", "folder",
+    ];
+    let said = bench.run(&folder);
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    for tick in 0..5 {
+        let png = fs::read(bench.path(&format!("folder/{tick:06}.png"))).unwrap();
+        assert!(png.starts_with(b"\x89PNG"));
+    }
+    assert_eq!(fs::read_dir(bench.path("folder")).unwrap().count(), 5);
+    let said = bench.run(&folder);
+    assert!(said.code() == 1 && said.errors().len() == 1, "{}", said.stderr);
+    assert_eq!(files(&bench), ["a.gif", "folder", "in.txt"]);
+}
