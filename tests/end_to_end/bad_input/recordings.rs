@@ -15,7 +15,7 @@ const BAD_EVENT: usize = BAD_TICK as usize * PER_TICK + 100;
 
 /// A file of the recordings that the reader is tested with.
 fn fixture(name: &str) -> PathBuf {
-    repository("services/ingest/tests/fixtures").join(name)
+    repository("shared/events/tests/fixtures").join(name)
 }
 
 /// Every command that reads a recording refuses this one with these words, and makes nothing.
