@@ -289,6 +289,130 @@ fn mutated_files_are_read_or_refused_but_never_crash() {
     }
 }
 
+/// A recording of these packets {stream, size as claimed, body}, with a header of this compression.
+fn packets(compression: i32, packets: &[(i32, i32, &[u8])]) -> Vec<u8> {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.aedat4");
+    write(&path, &[]);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let table_at = u64::from_le_bytes(bytes[54..62].try_into().unwrap()) as usize;
+    bytes.truncate(table_at);
+    bytes[46..50].copy_from_slice(&compression.to_le_bytes());
+    bytes[54..62].copy_from_slice(&(-1_i64).to_le_bytes());
+    for (stream, size, body) in packets {
+        bytes.extend(stream.to_le_bytes());
+        bytes.extend(size.to_le_bytes());
+        bytes.extend_from_slice(body);
+    }
+    bytes
+}
+
+/// A packet of events as it is before it is compressed.
+fn body(events: &[(i64, i16, i16, u8)]) -> Vec<u8> {
+    let mut bytes = [16_u32.to_le_bytes(), *b"EVTS"].concat();
+    bytes.extend([0, 0, 6, 0, 8, 0, 4, 0, 6, 0, 0, 0, 4, 0, 0, 0]);
+    bytes.extend((events.len() as u32).to_le_bytes());
+    for (t, x, y, on) in events {
+        bytes.extend(t.to_le_bytes());
+        bytes.extend(x.to_le_bytes());
+        bytes.extend(y.to_le_bytes());
+        bytes.extend([*on, 0, 0, 0]);
+    }
+    [(bytes.len() as u32).to_le_bytes().to_vec(), bytes].concat()
+}
+
+#[test]
+fn odd_packets_are_read_and_bad_ones_named() {
+    let good = body(&[(5, 1, 2, 1), (6, -1, i16::MIN, 0)]);
+    let len = good.len() as i32;
+    let first = |on| RawEvent {
+        t_ns: 5000,
+        x: 1,
+        y: 2,
+        on,
+    };
+    // Of no bytes, of a stream that nobody named, and of pixels that cannot be.
+    let bytes = packets(0, &[(0, 0, &[]), (7, 3, b"abc"), (0, len, &good)]);
+    let (events, error) = drain_bytes(&bytes);
+    let outside = RawEvent {
+        t_ns: 6000,
+        x: u16::MAX,
+        y: u16::MAX,
+        on: false,
+    };
+    assert_eq!((events, error), (vec![first(true), outside], None));
+    let input = Input::new("b", Cursor::new(bytes));
+    let mut recording = evpr_events::open_input(input, &ReadOptions::default()).unwrap();
+    while recording.next_batch(&mut Vec::new()).unwrap() {}
+    assert_eq!(
+        recording.skipped()[0].what,
+        "packets of streams that the header does not name"
+    );
+    // Times that cannot be: what stands before them is given.
+    for (t, wanted) in [
+        (-3, "has the time -3 µs, which is negative"),
+        (i64::MAX, "beyond the year 2262"),
+    ] {
+        let bad = body(&[(5, 1, 2, 7), (t, 0, 0, 0), (8, 0, 0, 0)]);
+        let (events, error) = drain_bytes(&packets(0, &[(0, bad.len() as i32, &bad)]));
+        let error = error.unwrap();
+        assert_eq!(events, [first(true)]);
+        assert!(
+            error.contains("event 1 (from 0)") && error.contains(wanted),
+            "{error}"
+        );
+    }
+    let mut offset = good.clone();
+    offset[24..28].copy_from_slice(&u32::MAX.to_le_bytes());
+    let mut count = good.clone();
+    count[28..32].copy_from_slice(&u32::MAX.to_le_bytes());
+    let mut kind = good.clone();
+    kind[8] = b'X';
+    for (packet, wanted) in [
+        ((0, len, &offset[..]), "offsets that point outside"),
+        ((0, len, &count), "offsets that point outside"),
+        ((0, len, &kind), "holds something else"),
+        ((0, -1, &good), "the negative size -1"),
+        ((0, i32::MAX, &good), "more than 64 MiB"),
+        ((0, 60 << 20, &good), "is cut off"),
+        ((7, i32::MAX, &good), "is cut off"),
+    ] {
+        let (events, error) = drain_bytes(&packets(0, &[(0, len, &good), packet]));
+        let error = error.unwrap();
+        assert_eq!(events.len(), 2);
+        assert!(error.contains(wanted), "{error}");
+    }
+    let (_, error) = drain_bytes(&packets(9, &[]));
+    assert!(error.unwrap().contains("unknown compression 9"));
+}
+
+#[test]
+fn a_small_packet_that_grows_without_end_is_refused() {
+    let mut lz4 = lz4_flex::frame::FrameEncoder::new(Vec::new());
+    std::io::copy(&mut std::io::repeat(0).take(65 << 20), &mut lz4).unwrap();
+    let lz4 = lz4.finish().unwrap();
+    // Frames that say their size, 65 MiB, and that do not: blocks of one repeated byte each.
+    let block = [2, 0, 0x10, 0];
+    let mut said = vec![0x28, 0xb5, 0x2f, 0xfd, 0xa0];
+    said.extend((65_u32 << 20).to_le_bytes());
+    let mut unsaid = vec![0x28, 0xb5, 0x2f, 0xfd, 0x00, 0x38];
+    for frame in [&mut said, &mut unsaid] {
+        (0..65 * 8).for_each(|_| frame.extend_from_slice(&block));
+        frame.extend([1, 0, 0]);
+    }
+    for (compression, frame, wanted) in [
+        (1, &lz4, "more than 64 MiB"),
+        (3, &said, "more than 64 MiB"),
+        (3, &unsaid, "too small"),
+        (1, &said, "is no LZ4 frame"),
+        (4, &lz4, "is no ZSTD frame"),
+    ] {
+        let (events, error) = drain_bytes(&packets(compression, &[(0, frame.len() as i32, frame)]));
+        let error = error.unwrap();
+        assert!(events.is_empty() && error.contains(wanted), "{error}");
+    }
+}
+
 /// Files of every compression, written by the reference library.
 #[test]
 fn files_of_dv_processing_are_read_exactly() {
