@@ -8,6 +8,7 @@ mod convert;
 mod corridor;
 mod deaths;
 mod demo;
+mod frames;
 mod members;
 mod noise;
 mod replay;

@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// The reconstructions and extractors of this executable.
 pub(crate) const CATALOG: Catalog = Catalog {
-    reconstructions: &evpr_reconstruct::KINDS,
+    reconstructions: &evpr_reconstruct::ALL_KINDS,
     extractors: &evpr_extract::KINDS,
 };
 

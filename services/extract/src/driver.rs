@@ -57,7 +57,7 @@ pub struct Extract {
     id: String,
     extractor: usize,
     sensor: Sensor,
-    /// Per reconstruction: channels per pixel of its frames.
+    /// Per reconstruction: channels per pixel that its frames may have; they may be grey instead.
     channels: Vec<usize>,
     /// Per reconstruction and window: the member.
     members: Vec<Vec<Option<u32>>>,
@@ -157,7 +157,7 @@ impl Extract {
         let Sensor { height, width } = self.sensor;
         let order = ChannelOrder::from_code(header.channel_order);
         let planned = self.channels.get(header.reconstruction as usize);
-        let Some(channel_order) = order.filter(|o| planned == Some(&o.channels())) else {
+        let Some(channel_order) = order.filter(|o| planned.is_some_and(|p| o.channels() <= *p)) else {
             let what = format!("channel order {} is not the plan's", header.channel_order);
             return Err(self.skip(header, &what));
         };

@@ -7,6 +7,8 @@
 mod driver;
 #[cfg(test)]
 mod driver_tests;
+mod enabled;
+mod frames;
 mod noise;
 mod pace;
 mod placed;
@@ -21,6 +23,7 @@ mod testing;
 
 pub use driver::{Ingest, IngestSummary};
 pub use evpr_events::SourceError;
+pub use frames::FrameIngest;
 pub use noise::{HotPixelsError, Noise, NoiseTally, find_hot_pixels};
 pub use screen::{Screen, ScreenTally};
 pub use slicer::{MAX_GAP_TICKS, SliceTally, Slicer};

@@ -5,8 +5,8 @@
 //! nanoseconds. Chunks do not cross segments; where they are cut within one does not depend on how the events were
 //! handed in, but for [`Slicer::flush`].
 
+use crate::enabled::Enabled;
 use crate::{MAX_TIME_NS, RawEvent};
-use evpr_core::MemberSet;
 use evpr_core::message::{ChunkHeader, Event, TickHeader, TickKind};
 use evpr_core::plan::{Delivery, Origin, Plan, SegmentPlan, SliceMode};
 use evpr_core::stage::{IngestPort, StageError};
@@ -67,9 +67,7 @@ pub struct Slicer {
     closed_ns: u64,
     base_us: u64,
     pending: Vec<Event>,
-    members: MemberSet,
-    weights: Vec<f64>,
-    control_version: u64,
+    enabled: Enabled,
     tally: SliceTally,
 }
 
@@ -104,9 +102,7 @@ impl Slicer {
             closed_ns: 0,
             base_us: 0,
             pending: Vec::with_capacity(plan.chunk_events()),
-            members: plan.enabled_members(),
-            weights: plan.members.iter().map(|m| m.weight).collect(),
-            control_version: 0,
+            enabled: Enabled::new(plan),
             tally: SliceTally::default(),
         }
     }
@@ -349,7 +345,7 @@ impl Slicer {
             segment: self.segment as u32,
             flags: opens | if closing { ChunkHeader::CLOSES_SEGMENT } else { 0 },
             closes,
-            members: self.members,
+            members: self.enabled.members,
             ..ChunkHeader::default()
         };
         let pending = &self.pending;
@@ -406,13 +402,7 @@ impl Slicer {
         if self.tick_opened {
             return Ok(());
         }
-        if let Some((version, settings)) = port.control(self.tick) {
-            self.control_version = version;
-            for (member, setting) in settings.iter().enumerate().take(self.weights.len()) {
-                self.members.set(member, setting.enabled != 0);
-                self.weights[member] = setting.weight;
-            }
-        }
+        self.enabled.follow(self.tick, port);
         self.tick_first_ns = first_ns;
         self.base_us = self.start_of_tick_ns() / 1_000;
         let mut header = TickHeader {
@@ -423,7 +413,7 @@ impl Slicer {
             // Nobody knows yet when it ends.
             header.end_us = header.start_us;
         }
-        port.tick(header, &self.weights)?;
+        port.tick(header, &self.enabled.weights)?;
         self.tick_opened = true;
         Ok(())
     }
@@ -446,8 +436,8 @@ impl Slicer {
             tick: self.tick,
             start_us: self.start_of_tick_ns() / 1_000,
             end_us: end_ns / 1_000,
-            control_version: self.control_version,
-            members: self.members,
+            control_version: self.enabled.version,
+            members: self.enabled.members,
             epoch: self.epoch,
             ..TickHeader::default()
         }

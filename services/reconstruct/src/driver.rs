@@ -48,6 +48,14 @@ pub enum BuildError {
         /// What is wrong.
         problem: String,
     },
+    /// The frames of the source cannot be opened.
+    #[error("reconstruction \"{id}\": {problem}")]
+    Frames {
+        /// The reconstruction's name in the plan.
+        id: String,
+        /// Which file, what is wrong with it, and what to do.
+        problem: String,
+    },
 }
 
 /// One method of the plan with all its windows: a [`Stage`] from [`Chunks`] to [`Frames`].

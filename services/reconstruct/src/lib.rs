@@ -12,6 +12,7 @@ mod decay;
 mod driver;
 mod event_count;
 mod event_count_no_polarity;
+mod frames;
 mod held;
 mod method;
 mod pixels;
@@ -19,4 +20,5 @@ mod registry;
 mod time_surface;
 
 pub use driver::{BuildError, Reconstruct, build};
-pub use registry::{KINDS, kinds};
+pub use frames::{ReadFrames, build_frames};
+pub use registry::{ALL_KINDS, KINDS, kinds};

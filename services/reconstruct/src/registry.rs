@@ -65,6 +65,17 @@ pub static KINDS: [ReconstructionKind; ROWS.len()] = {
     kinds
 };
 
+/// [`KINDS`] and `frames`, whose frames are not made of events.
+pub static ALL_KINDS: [ReconstructionKind; ROWS.len() + 1] = {
+    let mut kinds = [crate::frames::KIND; ROWS.len() + 1];
+    let mut row = 0;
+    while row < ROWS.len() {
+        kinds[row] = ROWS[row].kind;
+        row += 1;
+    }
+    kinds
+};
+
 /// The methods that this crate knows: [`KINDS`] as a slice.
 pub fn kinds() -> &'static [ReconstructionKind] {
     &KINDS

@@ -3,7 +3,7 @@
 
 use evpr_core::Plan;
 use evpr_core::config::{KeyDoc, Overrides, key_reference, parse, test_catalog};
-use evpr_core::plan::{HotPixelRule, HotPixelsFrom, MaskedBy, Sensor, Source, Street};
+use evpr_core::plan::{FrameSource, HotPixelRule, HotPixelsFrom, MaskedBy, Sensor, Source, Street};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -58,8 +58,8 @@ fn the_defaults_are_what_the_reference_says() {
     let mut sections: BTreeMap<String, String> = BTreeMap::new();
     for key in keys() {
         // A deadline means something only in latest delivery, and these sections only when they are asked for.
-        let means =
-            key.key != "deadline" && !["source.street", "source.hot_pixels"].contains(&key.section.as_str());
+        let only = ["source.street", "source.hot_pixels", "source.frames"];
+        let means = key.key != "deadline" && !only.contains(&key.section.as_str());
         if let Some(default) = key.default.filter(|_| means) {
             *sections.entry(key.section).or_default() += &format!("{} = {default}\n", key.key);
         }
@@ -123,6 +123,24 @@ fn the_defaults_of_hot_pixels_are_what_the_reference_says() {
             rule: HotPixelRule::default()
         }
     );
+}
+
+#[test]
+fn the_defaults_of_frames_are_what_the_reference_says() {
+    let short = "[[reconstruction]]\nid = \"frames\"\n[[extractor]]\nid = \"patch_norm\"\n\
+                 [source]\nkind = \"frames\"\npath = \"folder\"\n";
+    let mut long = format!("{short}[source.frames]\n");
+    let keys = keys().into_iter().filter(|k| k.section == "source.frames");
+    let count = keys
+        .map(|k| long += &format!("{} = {}\n", k.key, k.default.unwrap()))
+        .count();
+    assert_eq!(count, 3);
+    let source = |text: &str| {
+        let config = parse(text, "x.toml", &test_catalog()).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        config.source(&Overrides::default()).unwrap()
+    };
+    assert_eq!(source(&long), source(short));
+    assert_eq!(source(short), Source::frames("folder", FrameSource::default()));
 }
 
 #[test]

@@ -144,6 +144,26 @@ fn a_street_needs_no_recording_and_its_pass_may_be_given() {
 }
 
 #[test]
+fn frames_have_one_window_and_may_be_given_a_size() {
+    let stages = "[[reconstruction]]\nid = \"frames\"\n[[extractor]]\nid = \"patch_norm\"\n";
+    let text = |more: &str| {
+        format!(
+            "[sensor]\nheight = 260\nwidth = 346\n[source]\nkind = \"frames\"\npath = \"folder\"\n{more}\n{stages}"
+        )
+    };
+    let plan = |text: &str| {
+        let config = parse(text, "x.toml", &test_catalog()).unwrap();
+        config.resolve(SENSOR, &Overrides::default()).unwrap()
+    };
+    let exact = plan(&text(""));
+    assert_eq!(exact.source.frames.as_ref().unwrap().size, None);
+    assert_eq!(exact.members[0].name, "frames@1s/patch_norm");
+    assert_eq!((exact.reconstructions[0].channels, exact.chunk_events()), (3, 1));
+    let resized = plan(&text("frames = { on_other_size = \"resize\" }"));
+    assert_eq!(resized.source.frames.unwrap().size, Some(SENSOR));
+}
+
+#[test]
 fn errors_have_lines_and_columns_in_characters() {
     let text =
         format!("[run]\nname = 'µ' # µ\n{STAGES}params = {{ µ = 1, side = 0 }}\n").replace("{ µ", "{ \"µ\"");

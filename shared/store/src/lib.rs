@@ -46,6 +46,7 @@ pub use difference::Difference;
 pub use error::StoreError;
 pub use layout::partial_path;
 pub use manifest::{FORMAT, Manifest, MemberEntry, NewMember, NewTraverse, VERSION};
+pub use npy::NpyHeader;
 pub use positions::set_positions;
 pub use repair::{RepairSummary, repair};
 pub use ticks::TickRecord;

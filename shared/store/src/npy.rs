@@ -7,13 +7,13 @@ const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
 /// Type and shape of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct NpyHeader {
+pub struct NpyHeader {
     /// NumPy's name of the item type: `<f4`, `|b1`.
-    pub(crate) descr: String,
+    pub descr: String,
     /// Whether the first axis varies fastest.
-    pub(crate) fortran_order: bool,
+    pub fortran_order: bool,
     /// Length of each axis.
-    pub(crate) shape: Vec<u64>,
+    pub shape: Vec<u64>,
 }
 
 impl NpyHeader {
@@ -52,7 +52,7 @@ impl NpyHeader {
     ///
     /// # Errors
     /// What is wrong with it.
-    pub(crate) fn decode(bytes: &[u8]) -> Result<(Self, usize), String> {
+    pub fn decode(bytes: &[u8]) -> Result<(Self, usize), String> {
         let short = || "the .npy header is cut short".to_owned();
         if bytes.get(..6) != Some(MAGIC.as_slice()) {
             return Err("it does not begin as a .npy file".to_owned());

@@ -17,15 +17,25 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
     let plan = ctx.plan.clone();
     let index = ctx.service.index;
     match ctx.service.kind {
+        ServiceKind::Ingest if plan.source.frames.is_some() => {
+            let stop = ctx.stop().signal().clone();
+            let ingest = evpr_ingest::FrameIngest::new(&plan, args.first_tick, args.epoch, stop)?;
+            run_ingest(ctx, args.end_tick, |port| ingest.run(port))?;
+        }
         ServiceKind::Ingest => {
             let ingest =
                 evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
             run_ingest(ctx, args.end_tick, |port| ingest.run(port).map(|_| ()))?;
         }
         ServiceKind::Reconstruct => {
-            let mut stage = evpr_reconstruct::build(&plan, index)?;
             let output = Topic::Frames(plan.reconstructions[index].id.clone());
-            run_stage(ctx, &[Topic::Events], &output, &mut stage)?;
+            if plan.source.frames.is_some() {
+                let mut stage = evpr_reconstruct::build_frames(&plan, index)?;
+                run_stage(ctx, &[Topic::Events], &output, &mut stage)?;
+            } else {
+                let mut stage = evpr_reconstruct::build(&plan, index)?;
+                run_stage(ctx, &[Topic::Events], &output, &mut stage)?;
+            }
         }
         ServiceKind::Extract => {
             let mut stage = evpr_extract::build(&plan, index)?;

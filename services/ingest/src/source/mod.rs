@@ -37,15 +37,16 @@ pub(crate) fn can_be_read_again(source: &Source) -> bool {
 }
 
 /// Asks a source for the size of its sensor. `None` when it does not say: then the configuration must. A street has
-/// the sensor that it was given.
+/// the sensor that it was given; a source of frames has their size.
 ///
 /// # Errors
 /// As [`open`].
 pub fn probe(source: &Source) -> Result<Option<Sensor>, SourceError> {
-    match &source.street {
+    match (&source.street, &source.frames) {
         // Without building it.
-        Some(street) => Ok(Some(street.sensor)),
-        None => Ok(open(source)?.sensor()),
+        (Some(street), _) => Ok(Some(street.sensor)),
+        (None, Some(_)) => crate::frames::probe(source).map(Some),
+        (None, None) => Ok(open(source)?.sensor()),
     }
 }
 

@@ -5,6 +5,7 @@
 //! them all.
 
 mod error;
+mod frames;
 mod members;
 mod noise;
 mod reader;
@@ -21,13 +22,14 @@ pub use error::{ConfigError, ConfigErrors};
 pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
-    ALIGNS, DELIVERIES, MASKED_BY, ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, RULES, SEQUENCE_METHODS,
-    SIMILARITIES, SLICE_MODES, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
+    ALIGNS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR, RULES,
+    SEQUENCE_METHODS, SIMILARITIES, SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words,
+    parse_origin, parse_pace,
 };
 
 use crate::plan::{
-    Catalog, Delivery, Extractor, Fuse, Member, Pace, Plan, Reconstruction, Sensor, Slicing, Source, Street,
-    StreetPass,
+    Catalog, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Member, OnOtherSize, Pace, Plan,
+    Reconstruction, Sensor, Slicing, Source, Street, StreetPass,
 };
 use reader::Table;
 use schema::RuntimeSection;
@@ -112,9 +114,18 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
     let sensor = schema::sensor(sensor_table);
     let source_table = root.section("source");
     let source_at = source_table.below("path", source_table.at.offset);
-    let source = source::source(source_table);
-    let slicing = slicing::slicing(root.section("slicing"));
+    let (source_kind, source) = source::source(source_table);
+    let frames = source_kind.filter(|kind| *kind == SourceKind::Frames).map(|_| {
+        // Where the section is bad no key of the slicing is refused that could be right.
+        source
+            .as_ref()
+            .map_or(FrameTicks::Time, |source| source.frames.ticks)
+    });
+    let slicing = slicing::slicing(root.section("slicing"), frames);
     let reconstructions = stages::reconstructions(&root, catalog);
+    for (at, kind) in &reconstructions.kinds {
+        frames::check_reconstruction(sink, at, kind, source_kind);
+    }
     let extractors = stages::extractors(&root, catalog);
     if let (Some(source), Some(stages)) = (&source, &reconstructions.stages) {
         noise::check_masking(sink, source.hot_pixels.as_ref(), stages);
@@ -152,6 +163,15 @@ impl Config {
     pub fn source(&self, overrides: &Overrides) -> Option<Source> {
         let source = match self.source.kind {
             SourceKind::File => Source::file(overrides.input.clone().or_else(|| self.source.path.clone())?),
+            SourceKind::Frames => {
+                let path = overrides.input.clone().or_else(|| self.source.path.clone())?;
+                let resize = self.source.frames.on_other_size == OnOtherSize::Resize;
+                let frames = FrameSource {
+                    size: self.sensor.filter(|_| resize),
+                    ..self.source.frames.clone()
+                };
+                Source::frames(path, frames)
+            }
             SourceKind::Street => Source::street(Street {
                 pass: self
                     .pass(overrides)

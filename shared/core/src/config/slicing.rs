@@ -1,11 +1,12 @@
 //! `[slicing]`: ticks and windows, checked against each other.
 
+use super::frames::check_slicing;
 use super::reader::{Table, Value};
 use super::schema::key;
 use super::sink::{At, Key};
 use super::words::{ALIGNS, ORIGIN_HELP, SLICE_MODES, parse_origin};
 use crate::member::MAX_WINDOWS;
-use crate::plan::{Align, Origin, SliceMode, Slicing};
+use crate::plan::{Align, FrameTicks, Origin, SliceMode, Slicing};
 use crate::time::format_duration;
 
 /// The most ticks that a window may reach back over.
@@ -15,8 +16,9 @@ const MIN_LENGTH_NS: u64 = 1_000;
 /// The most events in a tick or window.
 const MAX_COUNT: i64 = 1_000_000_000_000;
 
-/// `[slicing]`.
-pub(super) fn slicing(table: Table<'_>) -> Option<Slicing> {
+/// `[slicing]`; `frames` says what a tick is, when the source has frames.
+pub(super) fn slicing(table: Table<'_>, frames: Option<FrameTicks>) -> Option<Slicing> {
+    check_slicing(&table, frames);
     let mode = table.read(
         key(
             "mode",

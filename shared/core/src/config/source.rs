@@ -1,5 +1,6 @@
-//! The section `[source]`: a recording, or the simulated street.
+//! The section `[source]`: a recording, the simulated street, or frames.
 
+use super::frames::{check_source, frames};
 use super::noise::{self, HotPixelsSection};
 use super::reader::{Table, Value};
 use super::schema::key;
@@ -7,7 +8,7 @@ use super::words::{
     ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, STREET_PASSES, TIME_UNITS, Words, pace_of_factor,
     parse_pace,
 };
-use crate::plan::{Filters, OnBadEvent, Pace, Street, TimeUnit};
+use crate::plan::{FRAMES, Filters, FrameSource, OnBadEvent, Pace, Street, TimeUnit};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
@@ -16,10 +17,25 @@ use std::path::PathBuf;
 pub(super) enum SourceKind {
     File,
     Street,
+    Frames,
 }
 
-const SOURCE_KINDS: Words<'static, SourceKind> =
-    Words::new(&[("file", SourceKind::File), ("street", SourceKind::Street)]);
+const SOURCE_KINDS: Words<'static, SourceKind> = Words::new(&[
+    ("file", SourceKind::File),
+    ("street", SourceKind::Street),
+    (FRAMES, SourceKind::Frames),
+]);
+
+impl SourceKind {
+    /// As in the configuration.
+    fn name(self) -> &'static str {
+        match self {
+            Self::File => "file",
+            Self::Street => "street",
+            Self::Frames => FRAMES,
+        }
+    }
+}
 
 /// Lengths of a street, metres.
 const LENGTHS_M: RangeInclusive<f64> = 20.0..=5_000.0;
@@ -40,16 +56,17 @@ pub(super) struct SourceSection {
     pub hot_pixels: Option<HotPixelsSection>,
     pub filters: Filters,
     pub street: Street,
+    pub frames: FrameSource,
 }
 
-/// `[source]`.
-pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
+/// `[source]`; its kind is known though other keys of it may be bad.
+pub(super) fn source(table: Table<'_>) -> (Option<SourceKind>, Option<SourceSection>) {
     let kind = table.read(
         key(
             "kind",
-            "\"file\" or \"street\"",
+            "\"file\", \"street\" or \"frames\"",
             Some("\"file\""),
-            "What events come from: a recording, or the simulated street.",
+            "What events come from: a recording, or the simulated street; or frames, without events.",
         ),
         SourceKind::File,
         |v| v.word(&SOURCE_KINDS),
@@ -59,9 +76,12 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
             "path",
             "path",
             None,
-            "The recording, relative to the directory that evpr is started in. `--input` takes precedence.",
+            "The recording, relative to the directory that evpr is started in. Of frames: a folder of PNG and JPEG files, \
+             a list of them (.csv) or a stack (.npy). `--input` takes precedence.",
         ),
-        |v| only_with(v, kind, SourceKind::File, |v| path(v, "events.h5")),
+        |v| {
+            only_with(v, kind, &[SourceKind::File, SourceKind::Frames], |v| path(v, "events.h5"))
+        },
     );
     let pace = table.read(
         key(
@@ -78,10 +98,15 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
             "time_unit",
             "\"auto\", \"s\", \"ms\", \"us\" or \"ns\"",
             Some("\"auto\""),
-            "Unit of times in text recordings; auto: a decimal point means seconds, else decided by magnitude.",
+            "Unit of times in text recordings; auto: a decimal point means seconds, else decided by magnitude. Of a list of \
+             frames auto means seconds.",
         ),
         TimeUnit::Auto,
-        |v| only_with(v, kind, SourceKind::File, |v| v.word(&TIME_UNITS)),
+        |v| {
+            only_with(v, kind, &[SourceKind::File, SourceKind::Frames], |v| {
+                v.word(&TIME_UNITS)
+            })
+        },
     );
     let on_backward_time = table.read(
         key(
@@ -91,7 +116,7 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
             "An event earlier than its forerunner: stop, leave it out, or treat it as at the latest time so far.",
         ),
         OnBadEvent::Error,
-        |v| v.word(&ON_BACKWARD_TIME),
+        |v| only_with(v, kind, OF_EVENTS, |v| v.word(&ON_BACKWARD_TIME)),
     );
     let on_outside_sensor = table.read(
         key(
@@ -101,23 +126,29 @@ pub(super) fn source(table: Table<'_>) -> Option<SourceSection> {
             "An event outside the sensor: stop, or leave it out.",
         ),
         OnBadEvent::Error,
-        |v| v.word(&ON_OUTSIDE_SENSOR),
+        |v| only_with(v, kind, OF_EVENTS, |v| v.word(&ON_OUTSIDE_SENSOR)),
     );
+    check_source(&table, kind);
     let hot_pixels = noise::hot_pixels(&table);
     let filters = noise::filters(table.section("filters"));
     let street = street(table.section("street"), kind);
+    let frames = frames(table.section("frames"), kind);
     table.close();
-    Some(SourceSection {
-        kind: kind?,
-        path: path?,
-        pace: pace?,
-        time_unit: time_unit?,
-        on_backward_time: on_backward_time?,
-        on_outside_sensor: on_outside_sensor?,
-        hot_pixels: hot_pixels?,
-        filters: filters?,
-        street: street?,
-    })
+    let section = || {
+        Some(SourceSection {
+            kind: kind?,
+            path: path?,
+            pace: pace?,
+            time_unit: time_unit?,
+            on_backward_time: on_backward_time?,
+            on_outside_sensor: on_outside_sensor?,
+            hot_pixels: hot_pixels?,
+            filters: filters?,
+            street: street?,
+            frames: frames?,
+        })
+    };
+    (kind, section())
 }
 
 /// `[source.street]`: its sensor is filled in later.
@@ -132,7 +163,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
              `--input` takes precedence.",
         ),
         default.pass,
-        |v| only_with(v, kind, SourceKind::Street, |v| v.word(&STREET_PASSES)),
+        |v| only_with(v, kind, &[SourceKind::Street], |v| v.word(&STREET_PASSES)),
     );
     let seed = table.read(
         key(
@@ -143,7 +174,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
         ),
         default.seed as i64,
         |v| {
-            only_with(v, kind, SourceKind::Street, |v| {
+            only_with(v, kind, &[SourceKind::Street], |v| {
                 v.integer(0..=i64::from(u32::MAX))
             })
         },
@@ -156,7 +187,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
             "Length of the drive, metres.",
         ),
         default.length_m,
-        |v| only_with(v, kind, SourceKind::Street, |v| v.number(LENGTHS_M)),
+        |v| only_with(v, kind, &[SourceKind::Street], |v| v.number(LENGTHS_M)),
     );
     let speed_m_s = table.read(
         key(
@@ -166,7 +197,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
             "Speed of the pass \"day\", metres per second; the others go at 0.9 times of it, with variation.",
         ),
         default.speed_m_s,
-        |v| only_with(v, kind, SourceKind::Street, |v| v.number(SPEEDS_M_S)),
+        |v| only_with(v, kind, &[SourceKind::Street], |v| v.number(SPEEDS_M_S)),
     );
     let step_ns = table.read(
         key(
@@ -176,7 +207,7 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
             "Time between two pictures of the street; what moves by more than a pixel in it loses events.",
         ),
         default.step_ns,
-        |v| only_with(v, kind, SourceKind::Street, step),
+        |v| only_with(v, kind, &[SourceKind::Street], step),
     );
     table.close();
     Some(Street {
@@ -189,21 +220,25 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
     })
 }
 
-/// Reads a key that only one kind of source has. While the kind is not known it is read as well.
-fn only_with<'r, T>(
+/// Kinds of sources that have events.
+const OF_EVENTS: &[SourceKind] = &[SourceKind::File, SourceKind::Street];
+
+/// Reads a key that only some kinds of sources have. While the kind is not known it is read as well.
+pub(super) fn only_with<'r, T>(
     value: &Value<'r>,
     kind: Option<SourceKind>,
-    wanted: SourceKind,
+    wanted: &[SourceKind],
     read: impl FnOnce(&Value<'r>) -> Option<T>,
 ) -> Option<T> {
-    let (has, other) = match wanted {
-        SourceKind::File => ("street", "file"),
-        SourceKind::Street => ("file", "street"),
-    };
     match kind {
-        Some(kind) if kind != wanted => value.refuse(format!(
-            "has no effect with source.kind = \"{has}\"; remove it, or write kind = \"{other}\""
-        )),
+        Some(kind) if !wanted.contains(&kind) => {
+            let others: Vec<String> = wanted.iter().map(|k| format!("\"{}\"", k.name())).collect();
+            value.refuse(format!(
+                "has no effect with source.kind = \"{}\"; remove it, or write kind = {}",
+                kind.name(),
+                others.join(" or ")
+            ))
+        }
         _ => read(value),
     }
 }

@@ -17,6 +17,8 @@ const MAX_RECONSTRUCTIONS: usize = 32;
 pub(super) struct Stages<T> {
     /// The id of each stanza; none where it could not be read.
     pub ids: Vec<Option<String>>,
+    /// The kind of each stanza that could be read, and where it is said.
+    pub kinds: Vec<(At, &'static str)>,
     /// All stages, if all of them are good.
     pub stages: Option<Vec<T>>,
 }
@@ -102,6 +104,7 @@ fn stages<K: Kind>(root: &Table<'_>, kinds: &[K]) -> Stages<K::Stage> {
     let Some(stanzas) = stanzas else {
         return Stages {
             ids: vec![None],
+            kinds: Vec::new(),
             stages: None,
         };
     };
@@ -111,6 +114,7 @@ fn stages<K: Kind>(root: &Table<'_>, kinds: &[K]) -> Stages<K::Stage> {
             .report_absence(&at, format!("there is none; add a stanza {}", K::EXAMPLE));
     }
     let mut ids: Vec<Option<String>> = Vec::new();
+    let mut known = Vec::new();
     let mut good: Vec<Option<K::Stage>> = Vec::new();
     for (index, stanza) in stanzas.into_iter().enumerate() {
         if index == K::MOST {
@@ -118,13 +122,14 @@ fn stages<K: Kind>(root: &Table<'_>, kinds: &[K]) -> Stages<K::Stage> {
             root.sink.report(&stanza.at, message);
             good.push(None);
         }
-        let (id, stage) = stage(stanza, kinds, &ids);
+        let (id, stage) = stage(stanza, kinds, &ids, &mut known);
         ids.push(id);
         good.push(stage);
     }
     let stages: Option<Vec<K::Stage>> = good.into_iter().collect();
     Stages {
         ids,
+        kinds: known,
         stages: stages.filter(|stages| !stages.is_empty()),
     }
 }
@@ -134,6 +139,7 @@ fn stage<K: Kind>(
     table: Table<'_>,
     kinds: &[K],
     earlier: &[Option<String>],
+    known: &mut Vec<(At, &'static str)>,
 ) -> (Option<String>, Option<K::Stage>) {
     let names: Vec<&str> = kinds.iter().map(Kind::name).collect();
     let mut id_at = table.at.clone();
@@ -183,6 +189,7 @@ fn stage<K: Kind>(
         }),
         (kind, _) => kind.flatten(),
     };
+    known.extend(kind.map(|kind| (id_at.clone(), kind.name())));
     let params_key = key(
         "params",
         "table",

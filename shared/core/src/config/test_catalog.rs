@@ -68,6 +68,13 @@ const RECONSTRUCTIONS: &[ReconstructionKind] = &[
         params: &[TAU],
         masks_hot_pixels: false,
     },
+    ReconstructionKind {
+        name: "frames",
+        doc: "Frames as they are.",
+        channel_order: ChannelOrder::BlueGreenRed,
+        masks_hot_pixels: false,
+        params: &[],
+    },
 ];
 
 const EXTRACTORS: &[ExtractorKind] = &[
@@ -99,7 +106,7 @@ const EXTRACTORS: &[ExtractorKind] = &[
 ];
 
 /// Kinds named like those of the stages' crates: `event_count`, `event_count_no_polarity`, `time_surface`,
-/// `patch_norm`, `raw_pixels` and `hog`.
+/// `frames`, `patch_norm`, `raw_pixels` and `hog`.
 #[doc(hidden)]
 pub fn test_catalog() -> Catalog {
     Catalog {

@@ -2,8 +2,8 @@
 //! functions as the configuration.
 
 use crate::plan::{
-    Align, Delivery, MaskedBy, OnBadEvent, Origin, Pace, Rule, SequenceMethod, Similarity, SliceMode,
-    StreetPass, TimeUnit,
+    Align, Delivery, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace, Rule, SequenceMethod,
+    Similarity, SliceMode, StackOrder, StreetPass, TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -65,6 +65,15 @@ pub const STREET_PASSES: Words<'static, StreetPass> = Words(&[
     ("day2", StreetPass::Day2),
     ("night", StreetPass::Night),
 ]);
+/// `source.frames.ticks`.
+pub const FRAME_TICKS: Words<'static, FrameTicks> =
+    Words(&[("frame", FrameTicks::Frame), ("time", FrameTicks::Time)]);
+/// `source.frames.on_other_size`.
+pub const ON_OTHER_SIZE: Words<'static, OnOtherSize> =
+    Words(&[("error", OnOtherSize::Error), ("resize", OnOtherSize::Resize)]);
+/// `source.frames.stack_order`.
+pub const STACK_ORDERS: Words<'static, StackOrder> =
+    Words(&[("bgr", StackOrder::Bgr), ("rgb", StackOrder::Rgb)]);
 /// `fuse.similarity`.
 pub const SIMILARITIES: Words<'static, Similarity> = Words(&[
     ("l2", Similarity::L2),

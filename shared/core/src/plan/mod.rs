@@ -2,6 +2,7 @@
 //! supervisor, and handed to every process as a file.
 
 mod channels;
+mod frames;
 mod kind;
 mod noise;
 mod positions;
@@ -9,6 +10,7 @@ mod slicing;
 mod source;
 
 pub use channels::{Channel, Topic};
+pub use frames::{FRAMES, FrameSource, FrameTicks, OnOtherSize, StackOrder};
 pub use kind::*;
 pub use noise::{Filters, HotPixelRule, HotPixels, HotPixelsFrom, MaskedBy, Pixel};
 pub use positions::{
@@ -105,7 +107,7 @@ pub struct Reconstruction {
     pub id: String,
     /// The method: a row of the reconstruct crate's registry.
     pub kind: String,
-    /// Channels per pixel of its frames.
+    /// Channels per pixel that its frames may have. A frame says which it has; it may be grey instead.
     pub channels: usize,
     /// The method's parameters.
     pub params: Params,

@@ -1,13 +1,13 @@
 //! Where events come from.
 
-use super::{Filters, HotPixels, Sensor};
+use super::{FRAMES, Filters, FrameSource, HotPixels, Sensor};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Where events come from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Source {
-    /// `file` or `street`.
+    /// `file`, `street` or `frames`.
     pub kind: String,
     /// The recording. Of a street: what it is called in messages and in traverses.
     pub path: PathBuf,
@@ -25,6 +25,8 @@ pub struct Source {
     pub filters: Filters,
     /// The street, when the kind is `street`.
     pub street: Option<Street>,
+    /// How frames are read, when the kind is `frames`.
+    pub frames: Option<FrameSource>,
 }
 
 impl Source {
@@ -40,6 +42,7 @@ impl Source {
             hot_pixels: None,
             filters: Filters::default(),
             street: None,
+            frames: None,
         }
     }
 
@@ -49,6 +52,15 @@ impl Source {
         Self {
             kind: "street".to_owned(),
             street: Some(street),
+            ..Self::file(path)
+        }
+    }
+
+    /// Frames, with the defaults as for [`Source::file`].
+    pub fn frames(path: impl Into<PathBuf>, frames: FrameSource) -> Self {
+        Self {
+            kind: FRAMES.to_owned(),
+            frames: Some(frames),
             ..Self::file(path)
         }
     }
