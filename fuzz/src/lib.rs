@@ -5,7 +5,7 @@ mod prophesee;
 mod recordings;
 
 pub use prophesee::{dat, evt2, evt3, evt21};
-pub use recordings::{aedat2, aedat4, es, hdf5};
+pub use recordings::{aedat2, aedat4, es, hdf5, npy, npz};
 
 /// A target by its name, which is also its folder's in `corpus`.
 pub type Target = (&'static str, fn(&[u8]));
@@ -20,4 +20,6 @@ pub const TARGETS: &[Target] = &[
     ("evt21", evt21),
     ("evt3", evt3),
     ("hdf5", hdf5),
+    ("npy", npy),
+    ("npz", npz),
 ];

@@ -31,19 +31,37 @@ pub fn es(data: &[u8]) {
 
 /// HDF5, which is read in any order and so from a file.
 pub fn hdf5(data: &[u8]) {
+    // What would be read endlessly: values that are not stored count as 0, however many there are said to be.
+    const BATCHES: usize = 64;
+    read_file(data, "h5", BATCHES);
+}
+
+/// NumPy arrays, in order and from a file.
+pub fn npy(data: &[u8]) {
+    read(open_input(input(data), &ReadOptions::default()));
+    read_file(data, "npy", usize::MAX);
+}
+
+/// Zip archives, of NumPy arrays and of text.
+pub fn npz(data: &[u8]) {
+    // What a few bytes may unpack to.
+    const BATCHES: usize = 64;
+    read_file(data, "npz", BATCHES);
+}
+
+/// Reads a file of these bytes, at most so many batches, and enters it in its middle.
+fn read_file(data: &[u8], extension: &str, batches: usize) {
     let path = std::env::temp_dir().join(format!(
-        "evpr-fuzz-{}-{:?}.h5",
+        "evpr-fuzz-{}-{:?}.{extension}",
         std::process::id(),
         thread::current().id()
     ));
-    // What would be read endlessly: values that are not stored count as 0, however many there are said to be.
-    const BATCHES: usize = 64;
     assert!(
         fs::write(&path, data).is_ok(),
         "{} cannot be written",
         path.display()
     );
-    read_some(open(&path, &ReadOptions::default()), BATCHES);
+    read_some(open(&path, &ReadOptions::default()), batches);
     if let Ok(mut recording) = open(&path, &ReadOptions::default()) {
         let _ = recording.seek_before(1_600_000_000_500_000_000);
         let _ = recording.next_batch(&mut Vec::new());
