@@ -9,6 +9,7 @@ mod corridor;
 mod deaths;
 mod demo;
 mod frames;
+mod live;
 mod members;
 mod noise;
 mod replay;

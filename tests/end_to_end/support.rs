@@ -3,10 +3,10 @@
 use serde_json::Value;
 use std::collections::HashMap;
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdout, Command, ExitStatus, Stdio};
-use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::process::{Child, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 /// Nothing here takes nearly as long; a hang must end as a failure.
@@ -249,25 +249,38 @@ pub(crate) struct Running {
     child: Child,
     lines: BufReader<ChildStdout>,
     stderr: std::thread::JoinHandle<String>,
+    log: Receiver<String>,
+    /// Where it was started with one.
+    pub(crate) stdin: Option<ChildStdin>,
     pub(crate) answers: Vec<Value>,
     _watchdog: Watchdog,
 }
 
 impl Running {
     pub(crate) fn start(bench: &Bench, args: &[&str]) -> Self {
+        Self::start_with(bench, args, Stdio::null())
+    }
+
+    pub(crate) fn start_with(bench: &Bench, args: &[&str], stdin: Stdio) -> Self {
         let mut child = bench
             .evpr()
             .args(args)
-            .stdin(Stdio::null())
+            .stdin(stdin)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
         let lines = BufReader::new(child.stdout.take().unwrap());
-        let mut errors = child.stderr.take().unwrap();
+        let child_stdin = child.stdin.take();
+        let errors = BufReader::new(child.stderr.take().unwrap());
+        let (say, log) = channel();
         let stderr = std::thread::spawn(move || {
             let mut text = String::new();
-            let _ = errors.read_to_string(&mut text);
+            for line in errors.lines().map_while(Result::ok) {
+                text += &line;
+                text.push('\n');
+                let _ = say.send(line);
+            }
             text
         });
         let _watchdog = Watchdog::over(child.id());
@@ -275,9 +288,16 @@ impl Running {
             child,
             lines,
             stderr,
+            log,
+            stdin: child_stdin,
             answers: Vec::new(),
             _watchdog,
         }
+    }
+
+    /// Waits until a line that it logs contains this; false when it ended before.
+    pub(crate) fn logs(&self, what: &str) -> bool {
+        self.log.iter().any(|line| line.contains(what))
     }
 
     pub(crate) fn pid(&self) -> i32 {

@@ -1,7 +1,7 @@
 //! Positions: fills in where the camera was when a tick opens, on the way to the port.
 
-use evpr_core::message::{ChunkHeader, Event, MemberSetting, TickHeader, TickKind};
-use evpr_core::stage::{IngestPort, StageError};
+use evpr_core::message::{ChunkHeader, Event, LiveStats, MemberSetting, TickHeader, TickKind};
+use evpr_core::stage::{IngestPort, OpenedTick, StageError};
 use evpr_events::Trajectory;
 
 /// A port behind which the openings of ticks carry a position.
@@ -47,6 +47,14 @@ impl IngestPort for Placed<'_> {
 
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64) {
         self.port.progress(permille, next_tick, events, skipped);
+    }
+
+    fn live(&mut self, stats: LiveStats) {
+        self.port.live(stats);
+    }
+
+    fn opened_before(&self) -> Option<OpenedTick> {
+        self.port.opened_before()
     }
 }
 

@@ -10,6 +10,7 @@ use crate::{MAX_TIME_NS, RawEvent};
 use evpr_core::message::{ChunkHeader, Event, TickHeader, TickKind};
 use evpr_core::plan::{Delivery, Origin, Plan, SegmentPlan, SliceMode};
 use evpr_core::stage::{IngestPort, StageError};
+use evpr_core::Reason;
 use evpr_events::{rough_seconds, seconds};
 
 /// Most ticks that time may jump ahead by, from one event to the next: more is taken for a damaged time.
@@ -29,13 +30,29 @@ pub struct SliceTally {
     pub before_origin: u64,
     /// Earlier than the tick that the run resumes at.
     pub before_resume: u64,
+    /// Of ticks that are not whole: thrown away.
+    pub lost: u64,
+    /// Ticks that are not whole because ingest fell behind.
+    pub dropped_ticks: u64,
+    /// Ticks that are not whole because the source, or ingest, was away.
+    pub missed_ticks: u64,
 }
 
 impl SliceTally {
     /// Events left out by decision.
     pub fn skipped(&self) -> u64 {
-        self.unneeded + self.before_origin + self.before_resume
+        self.unneeded + self.before_origin + self.before_resume + self.lost
     }
+}
+
+/// Whether events of the segment under way are missing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Loss {
+    None,
+    /// Yes, and until an event comes nobody knows for how long.
+    Open(Reason),
+    /// Yes, as of the rest of its tick.
+    Tick(Reason),
 }
 
 /// See the module. Expects what [`crate::Screen`] lets pass: rows up to [`Event::Y_MAX`], times that do not go back.
@@ -68,6 +85,9 @@ pub struct Slicer {
     base_us: u64,
     pending: Vec<Event>,
     enabled: Enabled,
+    loss: Loss,
+    /// Why the tick under way is not whole, if it is not.
+    tick_lost: Option<Reason>,
     tally: SliceTally,
 }
 
@@ -103,6 +123,8 @@ impl Slicer {
             base_us: 0,
             pending: Vec::with_capacity(plan.chunk_events()),
             enabled: Enabled::new(plan),
+            loss: Loss::None,
+            tick_lost: None,
             tally: SliceTally::default(),
         }
     }
@@ -129,6 +151,66 @@ impl Slicer {
     pub fn next_edge_ns(&self) -> Option<u64> {
         let t0 = self.t0_ns.filter(|_| self.mode == SliceMode::Time)?;
         Some(self.edge_ns(t0, self.segment + 1))
+    }
+
+    /// Start of the segment under way, sensor time in ns: events before it come too late. `None` before the first event,
+    /// and in count mode.
+    pub(crate) fn segment_start_ns(&self) -> Option<u64> {
+        let t0 = self.t0_ns.filter(|_| self.mode == SliceMode::Time)?;
+        Some(self.edge_ns(t0, self.segment))
+    }
+
+    /// Puts tick `tick` at this sensor time, in ns, as an earlier ingest did; before the first event. Count
+    /// mode: events are counted from the next one on.
+    pub(crate) fn continue_grid(&mut self, tick: u64, start_ns: u64) {
+        self.to_skip = 0;
+        if self.mode == SliceMode::Time {
+            let t0 = start_ns.saturating_sub(tick.saturating_mul(self.tick_len));
+            self.t0_ns.get_or_insert(t0);
+        }
+    }
+
+    /// True once something of the first tick has been taken or closed.
+    pub(crate) fn has_begun(&self) -> bool {
+        self.tick > self.first_tick || self.segment > 0 || self.tick_opened
+    }
+
+    /// True while events wait for their chunk to be full.
+    pub(crate) fn keeps_events(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
+    /// Events are missing from now on. The tick under way and all up to and with the one in which the next event
+    /// falls are not whole: their chunks say so, and their events are thrown away.
+    pub(crate) fn lose(&mut self, reason: Reason) {
+        if let Loss::Open(_) = self.loss {
+            return;
+        }
+        self.loss = Loss::Open(reason);
+        self.tick_lost.get_or_insert(reason);
+        self.tally.lost += self.pending.len() as u64;
+        self.pending.clear();
+    }
+
+    /// Why the segment under way is not whole, if it is not.
+    fn loss(&self) -> Option<Reason> {
+        match self.loss {
+            Loss::None => None,
+            Loss::Open(reason) | Loss::Tick(reason) => Some(reason),
+        }
+    }
+
+    /// Enters the tick under way into the tally, and goes on to the next.
+    fn end_loss_with_tick(&mut self) {
+        match self.tick_lost {
+            Some(Reason::Dropped) => self.tally.dropped_ticks += 1,
+            Some(_) => self.tally.missed_ticks += 1,
+            None => {}
+        }
+        if let Loss::Tick(_) = self.loss {
+            self.loss = Loss::None;
+        }
+        self.tick_lost = self.loss();
     }
 
     fn edge_ns(&self, t0: u64, edge: usize) -> u64 {
@@ -189,6 +271,9 @@ impl Slicer {
                 }
                 SliceMode::Count => (self.segment_room() as usize).clamp(1, rest.len()),
             };
+            if let Loss::Open(reason) = self.loss {
+                self.loss = Loss::Tick(reason);
+            }
             let (run, after) = rest.split_at(n);
             self.take(run, port)?;
             rest = after;
@@ -290,6 +375,10 @@ impl Slicer {
         self.open_tick(first.t_ns, port)?;
         self.received += run.len() as u64;
         self.latest_ns = last.t_ns;
+        if self.loss().is_some() {
+            self.tally.lost += run.len() as u64;
+            return Ok(());
+        }
         if !self.needed() {
             self.tally.unneeded += run.len() as u64;
             return Ok(());
@@ -337,13 +426,14 @@ impl Slicer {
         } else {
             ChunkHeader::OPENS_SEGMENT
         };
+        let closes_segment = if closing { ChunkHeader::CLOSES_SEGMENT } else { 0 };
         let header = ChunkHeader {
             tick: self.tick,
             base_us: self.base_us,
             closed_ns: if closes == 0 { 0 } else { port.now_ns() },
             epoch: self.epoch,
             segment: self.segment as u32,
-            flags: opens | if closing { ChunkHeader::CLOSES_SEGMENT } else { 0 },
+            flags: ChunkHeader::with_loss(opens | closes_segment, self.loss()),
             closes,
             members: self.enabled.members,
             ..ChunkHeader::default()
@@ -388,6 +478,7 @@ impl Slicer {
         self.segment_opened = false;
         self.segment += 1;
         if tick_over {
+            self.end_loss_with_tick();
             self.tick += 1;
             self.segment = 0;
             self.in_tick = 0;

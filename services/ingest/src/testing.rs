@@ -1,7 +1,7 @@
 //! A port that keeps what it is given, for tests.
 
-use evpr_core::message::{ChunkHeader, Event, MemberSetting, TickHeader, TickKind};
-use evpr_core::stage::{IngestPort, StageError};
+use evpr_core::message::{ChunkHeader, Event, LiveStats, MemberSetting, TickHeader, TickKind};
+use evpr_core::stage::{IngestPort, OpenedTick, StageError};
 use std::collections::VecDeque;
 
 /// One message, as it was sent.
@@ -46,6 +46,8 @@ pub(crate) struct KeptPort {
     /// Chunks that still find room.
     pub(crate) room: Option<usize>,
     pub(crate) progress: (u64, u64, u64, u64),
+    pub(crate) live: LiveStats,
+    pub(crate) opened_before: Option<OpenedTick>,
     /// Dropped once this many messages are sent: the request to stop.
     pub(crate) stop_after: Option<(usize, crossbeam::channel::Sender<()>)>,
 }
@@ -141,5 +143,13 @@ impl IngestPort for KeptPort {
 
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64) {
         self.progress = (permille, next_tick, events, skipped);
+    }
+
+    fn live(&mut self, stats: LiveStats) {
+        self.live = stats;
+    }
+
+    fn opened_before(&self) -> Option<OpenedTick> {
+        self.opened_before
     }
 }

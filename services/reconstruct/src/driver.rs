@@ -62,7 +62,7 @@ pub enum BuildError {
 ///
 /// For each window that closes, and that an enabled member wants, it emits one frame: with an image when every segment
 /// of the window was seen whole and has events, else with the [`Reason`] why there is none and an empty payload. A
-/// segment was seen whole when its opening chunk came, and from then on every chunk, without a gap in the sequence
+/// segment was seen whole when ingest says of no chunk that events are missing, its opening chunk came, and from then on every chunk, without a gap in the sequence
 /// numbers and in one epoch, up to its closing chunk. Nothing of one epoch is mixed with another.
 ///
 /// Segments that no enabled member wants cost nothing; a window that reaches back into one is incomplete.
@@ -270,6 +270,10 @@ impl Reconstruct {
 
     /// Enters a chunk's events, as long as its segment is whole so far.
     fn enter(&mut self, header: &ChunkHeader, segment: u64, events: &[Event]) {
+        if let Some(reason) = header.loss() {
+            self.held.lose(segment, reason);
+            return;
+        }
         if header.opens_segment() {
             self.open(header, segment);
         }

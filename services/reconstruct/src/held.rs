@@ -24,6 +24,8 @@ pub(crate) struct Held {
 struct Segment {
     /// The segment that was seen whole, counted from the start of the recording.
     whole: Option<u64>,
+    /// The segment of which events are known to be missing, and why.
+    lost: Option<(u64, Reason)>,
     /// Events entered.
     events: u64,
 }
@@ -78,6 +80,19 @@ impl Held {
         }
         if self.shared_up_to == Some(segment) {
             self.shared_up_to = None;
+        }
+    }
+
+    /// Events of this segment are missing: nothing that covers it is whole.
+    pub(crate) fn lose(&mut self, segment: u64, reason: Reason) {
+        self.break_off();
+        self.shared_up_to = None;
+        let entry = self.entry(segment);
+        if let Some(held) = self.segments.get_mut(entry) {
+            *held = Segment {
+                lost: Some((segment, reason)),
+                ..Segment::default()
+            };
         }
     }
 
@@ -150,6 +165,9 @@ impl Held {
         let mut events = 0;
         for segment in first..=last {
             let held = self.segments[self.entry(segment)];
+            if let Some((_, reason)) = held.lost.filter(|(lost, _)| *lost == segment) {
+                return Err(reason);
+            }
             if held.whole != Some(segment) {
                 return Err(Reason::IncompleteWindow);
             }
@@ -235,6 +253,22 @@ mod tests {
         held.drop_segment(6);
         pass(&mut held, 7);
         assert_eq!(window(&held, 7, 2), Err(Reason::IncompleteWindow));
+    }
+
+    #[test]
+    fn windows_over_a_lost_segment_say_why_it_is_lost() {
+        for align in [Align::Start, Align::End] {
+            let mut held = held(align);
+            pass(&mut held, 4);
+            pass(&mut held, 5);
+            held.open(6, 7);
+            held.lose(6, Reason::Disconnected);
+            pass(&mut held, 7);
+            assert_eq!(window(&held, 6, 1), Err(Reason::Disconnected));
+            assert_eq!(window(&held, 7, 2), Err(Reason::Disconnected));
+            pass(&mut held, 9);
+            assert_eq!(window(&held, 9, 1).map(|(events, _)| events), Ok(1), "{align:?}");
+        }
     }
 
     #[test]

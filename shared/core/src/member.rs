@@ -91,11 +91,13 @@ pub enum Reason {
     NoMembers = 12,
     /// The tick was lost before it reached the fuser (its process or ingest was away).
     Lost = 13,
+    /// The camera was away, or started anew.
+    Disconnected = 14,
 }
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Reason; 12] = [
+    pub const ALL: [Reason; 13] = [
         Reason::EmptyWindow,
         Reason::IncompleteWindow,
         Reason::BeforeStart,
@@ -108,6 +110,7 @@ impl Reason {
         Reason::NoRows,
         Reason::NoMembers,
         Reason::Lost,
+        Reason::Disconnected,
     ];
 
     /// The reason with this code.
@@ -135,6 +138,7 @@ impl Reason {
             Reason::NoRows => "no member had a row",
             Reason::NoMembers => "all members are disabled",
             Reason::Lost => "lost on the way",
+            Reason::Disconnected => "the camera was disconnected",
         }
     }
 }

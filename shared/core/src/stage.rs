@@ -2,9 +2,10 @@
 //! tests chain it in theirs.
 
 use crate::message::{
-    ChunkHeader, DescriptorHeader, Event, MatchHeader, Matches, MemberSetting, Message, ServiceState,
-    TickHeader,
+    ChunkHeader, DescriptorHeader, Event, LiveStats, MatchHeader, Matches, MemberSetting, Message,
+    ServiceState, TickHeader,
 };
+use serde::{Deserialize, Serialize};
 
 /// Why a stage could not go on.
 #[derive(Debug, thiserror::Error)]
@@ -145,6 +146,17 @@ pub trait Sink {
 /// A header with what it carries, for [`MatchHeader`] consumers in process.
 pub type Answer = (MatchHeader, Vec<crate::message::Candidate>);
 
+/// A tick that was opened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OpenedTick {
+    /// Its number.
+    pub tick: u64,
+    /// Sensor time of its start, µs.
+    pub start_us: u64,
+    /// When that was sent (host monotonic ns).
+    pub sent_ns: u64,
+}
+
 /// What ingest sends into and hears from, given by the runtime. A request to stop reaches ingest by a receiver of its
 /// own, so that it can wait for events and for the request at the same time.
 pub trait IngestPort {
@@ -183,4 +195,14 @@ pub trait IngestPort {
     /// Tells how far it is, for the stats: permille of the recording read (0 when not known), the first tick not
     /// opened yet, events sent, and events left out by decision.
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64);
+
+    /// Tells how a live source is, for the stats.
+    fn live(&mut self, stats: LiveStats) {
+        let _ = stats;
+    }
+
+    /// A tick that an earlier ingest of this run opened, if there was one: a live source goes on with its grid.
+    fn opened_before(&self) -> Option<OpenedTick> {
+        None
+    }
 }

@@ -25,11 +25,11 @@ fn configurations(folder: &str) -> Vec<PathBuf> {
 fn plan(path: &Path) -> Plan {
     let text = std::fs::read_to_string(path).unwrap();
     let config = parse(&text, &path.display().to_string(), &test_catalog()).unwrap_or_else(|e| panic!("{e}"));
-    let street = config
+    let recording = config
         .source(&Overrides::default())
-        .is_some_and(|source| source.street.is_some());
+        .is_none_or(|source| source.street.is_none() && source.live.is_none());
     let overrides = Overrides {
-        input: (!street).then(|| PathBuf::from("input.h5")),
+        input: recording.then(|| PathBuf::from("input.h5")),
         ..Overrides::default()
     };
     let sensor = config.sensor().unwrap_or(Sensor {

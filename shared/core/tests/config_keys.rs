@@ -57,9 +57,10 @@ fn every_key_is_there_once_and_described() {
 fn the_defaults_are_what_the_reference_says() {
     let mut sections: BTreeMap<String, String> = BTreeMap::new();
     for key in keys() {
-        // A deadline means something only in latest delivery, and these sections only when they are asked for.
+        // A deadline means something only in latest delivery, a slack only with a live source, and these sections only
+        // when they are asked for.
         let only = ["source.street", "source.hot_pixels", "source.frames"];
-        let means = key.key != "deadline" && !only.contains(&key.section.as_str());
+        let means = !["deadline", "slack"].contains(&key.key) && !only.contains(&key.section.as_str());
         if let Some(default) = key.default.filter(|_| means) {
             *sections.entry(key.section).or_default() += &format!("{} = {default}\n", key.key);
         }
@@ -141,6 +142,21 @@ fn the_defaults_of_frames_are_what_the_reference_says() {
     };
     assert_eq!(source(&long), source(short));
     assert_eq!(source(short), Source::frames("folder", FrameSource::default()));
+}
+
+#[test]
+fn the_default_of_the_slack_is_what_the_reference_says() {
+    let keys = keys();
+    let slack = keys.iter().find(|k| k.key == "slack").and_then(|k| k.default);
+    let text = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n[source]\nkind = \"usb\"\n";
+    let source = |text: &str| {
+        let config = parse(text, "x.toml", &test_catalog()).unwrap_or_else(|e| panic!("{e}\n{text}"));
+        config.source(&Overrides::default()).unwrap()
+    };
+    assert_eq!(
+        source(&format!("{text}slack = {}\n", slack.unwrap())),
+        source(text)
+    );
 }
 
 #[test]

@@ -2,7 +2,7 @@
 #![allow(clippy::panic, clippy::unwrap_used)] // helpers of tests are tests
 
 use evpr_core::config::{Config, Overrides, parse, test_catalog};
-use evpr_core::plan::{Delivery, Pace, Sensor, StreetPass};
+use evpr_core::plan::{Delivery, OnBadEvent, Pace, Plan, Sensor, StreetPass};
 use std::path::PathBuf;
 
 const STAGES: &str = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
@@ -179,5 +179,78 @@ fn errors_have_lines_and_columns_in_characters() {
             (7, 12, "extractor[0].params.\"µ\""),
             (7, 28, "extractor[0].params.side")
         ]
+    );
+}
+
+fn live(kind: &str, keys: &str, overrides: &Overrides) -> Result<Plan, String> {
+    let text = format!(
+        "[source]\nkind = \"{kind}\"\n{keys}[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n"
+    );
+    let config = parse(&text, "x.toml", &test_catalog()).map_err(|e| e.to_string())?;
+    let sensor = Sensor {
+        height: 260,
+        width: 346,
+    };
+    config.resolve(sensor, overrides).map_err(|e| e.to_string())
+}
+
+#[test]
+fn a_camera_drops_what_cannot_be_right_and_standard_input_does_when_it_is_live() {
+    let overrides = |delivery| Overrides {
+        delivery: Some(delivery),
+        ..Overrides::default()
+    };
+    let (lossless, latest) = (overrides(Delivery::Lossless), overrides(Delivery::Latest));
+    for (kind, keys, overrides, is_live) in [
+        ("stdin", "", &lossless, false),
+        ("stdin", "", &latest, true),
+        ("tcp", "address = \"a:1\"\n", &lossless, true),
+        ("usb", "", &latest, true),
+    ] {
+        let plan = live(kind, keys, overrides).unwrap();
+        let policy = if is_live {
+            OnBadEvent::Drop
+        } else {
+            OnBadEvent::Error
+        };
+        assert_eq!(
+            (
+                plan.is_live(),
+                plan.source.on_backward_time,
+                plan.source.on_outside_sensor
+            ),
+            (is_live, policy, policy),
+            "{kind}"
+        );
+        let plan = live(kind, &format!("{keys}on_backward_time = \"clamp\"\n"), overrides).unwrap();
+        assert_eq!(plan.source.on_backward_time, OnBadEvent::Clamp);
+    }
+}
+
+#[test]
+fn the_command_line_gives_an_address_and_nothing_that_a_live_source_has_no_use_for() {
+    let input = |text: &str| Overrides {
+        input: Some(text.into()),
+        ..Overrides::default()
+    };
+    let plan = live("tcp", "address = \"a:1\"\n", &input("b:2")).unwrap();
+    assert_eq!(plan.source.live.unwrap().address.as_deref(), Some("b:2"));
+    assert_eq!(
+        live("tcp", "", &Overrides::default()).unwrap_err(),
+        "x.toml:1: source.address: is missing; write the camera's address here, such as \"192.168.0.7:7777\", or give it \
+         with --input"
+    );
+    let overrides = Overrides {
+        pace: Some(Pace::Factor(1.0)),
+        ..input("x.h5")
+    };
+    assert_eq!(
+        live("tcp", "", &overrides).unwrap_err(),
+        "command line: --input: \"x.h5\" is no address; write host and port, such as \"192.168.0.7:7777\"\n\
+         command line: --pace: has no effect with source.kind = \"tcp\"; leave it out"
+    );
+    assert_eq!(
+        live("usb", "", &input("x.h5")).unwrap_err(),
+        "command line: --input: has no effect with source.kind = \"usb\"; leave it out"
     );
 }

@@ -28,6 +28,11 @@ pub trait Recording: Send {
         Vec::new()
     }
 
+    /// How often since the last call a camera has run out of room and lost events.
+    fn take_overflows(&mut self) -> u64 {
+        0
+    }
+
     /// Goes to a place before which every event is earlier than `t_ns`, and says which event comes next (from 0).
     /// `None`: it cannot jump, and stays where it is. Expects that times do not go back.
     ///

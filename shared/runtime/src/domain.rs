@@ -5,6 +5,7 @@ use crate::RuntimeError;
 use crate::channel::Ipc;
 use evpr_core::Plan;
 use evpr_core::message::MemberSetting;
+use evpr_core::stage::OpenedTick;
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
@@ -39,6 +40,8 @@ pub(crate) struct Schedule {
     pub(crate) entries: Vec<(u64, Settings)>,
     /// Ticks below this have been opened: changes that come now are not for them.
     pub(crate) opened_before: u64,
+    /// The newest tick that has been opened.
+    pub(crate) newest: Option<OpenedTick>,
 }
 
 /// What the members of the plan shall be.

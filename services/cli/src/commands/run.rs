@@ -107,8 +107,12 @@ pub(crate) fn run_graph(plan: &Plan, quiet_logs: bool, hooks: &mut dyn Hooks) ->
     let folder = RunFolder::of_instance(&plan.name);
     let executable = std::env::current_exe()?;
     let run_folder = folder.path().to_owned();
+    let reads_stdin = plan.source.is_stdin();
     let command = move |service: &Service, spawn: &Spawn| {
         let mut command = service_command(&executable, &run_folder, service, spawn);
+        if reads_stdin && service.kind == ServiceKind::Ingest {
+            command.stdin(Stdio::inherit());
+        }
         if quiet_logs && std::env::var_os(LOG_VARIABLE).is_none() {
             command.env(LOG_VARIABLE, QUIET_LOG);
         }
@@ -192,6 +196,20 @@ fn summarise(summary: &RunSummary) {
             ms(took.quantile_ns(0.5)),
             ms(took.quantile_ns(0.99)),
             s.restarts
+        );
+    }
+    let live = summary.services.iter().map(|s| &s.stats.live);
+    for live in live.filter(|live| live.is_live != 0) {
+        eprintln!(
+            "live: {} ticks dropped, {} missed, {} disconnects, {} events late; delay p50 {:.3} ms, p99 {:.3} ms; clock drift \
+             {:+.3} ppm",
+            live.dropped_ticks,
+            live.missed_ticks,
+            live.disconnects,
+            live.late_events,
+            ms(live.delay_p50_ns),
+            ms(live.delay_p99_ns),
+            live.drift_ppb as f64 / 1e3
         );
     }
     if summary.answers > 0 {

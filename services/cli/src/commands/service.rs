@@ -3,6 +3,7 @@
 use crate::args::ServiceArgs;
 use crate::failure::Failure;
 use evpr_core::plan::{ServiceKind, Topic};
+use evpr_core::stage::IngestPort;
 use evpr_runtime::{RunFolder, ServiceContext, run_ingest, run_sink, run_stage};
 use std::process::ExitCode;
 
@@ -23,6 +24,18 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
             run_ingest(ctx, args.end_tick, |port| ingest.run(port))?;
         }
         ServiceKind::Ingest => {
+            if plan.source.live.is_some() {
+                let stop = ctx.stop().signal().clone();
+                // Killed by the very request to end, before it could hear it.
+                if plan.source.is_stdin() && args.epoch > 1 && args.end_tick.is_some() {
+                    let end = |port: &mut dyn IngestPort| {
+                        evpr_ingest::Live::end_at(&plan, args.first_tick, args.epoch, port).map(|_| ())
+                    };
+                    return Ok(run_ingest(ctx, args.end_tick, end)?);
+                }
+                let live = evpr_ingest::Live::new(&plan, args.first_tick, args.epoch, stop)?;
+                return Ok(run_ingest(ctx, args.end_tick, |port| live.run(port).map(|_| ()))?);
+            }
             let ingest =
                 evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
             run_ingest(ctx, args.end_tick, |port| ingest.run(port).map(|_| ()))?;

@@ -22,14 +22,14 @@ pub use error::{ConfigError, ConfigErrors};
 pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
-    ALIGNS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR, RULES,
-    SEQUENCE_METHODS, SIMILARITIES, SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words,
-    parse_origin, parse_pace,
+    ALIGNS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR,
+    RAW_FORMATS, RULES, SEQUENCE_METHODS, SIMILARITIES, SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS,
+    Words, parse_origin, parse_pace,
 };
 
 use crate::plan::{
-    Catalog, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Member, OnOtherSize, Pace, Plan,
-    Reconstruction, Sensor, Slicing, Source, Street, StreetPass,
+    Catalog, Delivery, Extractor, FrameSource, FrameTicks, Fuse, LiveSource, Member, OnBadEvent, OnOtherSize,
+    Pace, Plan, Reconstruction, Sensor, Slicing, Source, Street, StreetPass,
 };
 use reader::Table;
 use schema::RuntimeSection;
@@ -113,8 +113,14 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
     let sensor_at = sensor_table.at.clone();
     let sensor = schema::sensor(sensor_table);
     let source_table = root.section("source");
-    let source_at = source_table.below("path", source_table.at.offset);
+    let source_at = |key| source_table.below(key, source_table.at.offset);
+    let (path_at, address_at) = (source_at("path"), source_at("address"));
     let (source_kind, source) = source::source(source_table);
+    let source_at = if source_kind.is_some_and(|kind| SourceKind::CONNECTED.contains(&kind)) {
+        address_at
+    } else {
+        path_at
+    };
     let frames = source_kind.filter(|kind| *kind == SourceKind::Frames).map(|_| {
         // Where the section is bad no key of the slicing is refused that could be right.
         source
@@ -161,40 +167,81 @@ impl Config {
     /// The source, when there is one to read: of the overrides or of the configuration. A street whose pass the
     /// overrides misname is that of the configuration; [`Config::resolve`] says what is wrong.
     pub fn source(&self, overrides: &Overrides) -> Option<Source> {
-        let source = match self.source.kind {
-            SourceKind::File => Source::file(overrides.input.clone().or_else(|| self.source.path.clone())?),
+        let written = &self.source;
+        let source = match written.kind {
+            SourceKind::File => Source::file(overrides.input.clone().or_else(|| written.path.clone())?),
             SourceKind::Frames => {
-                let path = overrides.input.clone().or_else(|| self.source.path.clone())?;
-                let resize = self.source.frames.on_other_size == OnOtherSize::Resize;
+                let path = overrides.input.clone().or_else(|| written.path.clone())?;
+                let resize = written.frames.on_other_size == OnOtherSize::Resize;
                 let frames = FrameSource {
                     size: self.sensor.filter(|_| resize),
-                    ..self.source.frames.clone()
+                    ..written.frames.clone()
                 };
                 Source::frames(path, frames)
             }
             SourceKind::Street => Source::street(Street {
-                pass: self
-                    .pass(overrides)
-                    .ok()
-                    .flatten()
-                    .unwrap_or(self.source.street.pass),
-                sensor: self.sensor.unwrap_or(self.source.street.sensor),
-                ..self.source.street.clone()
+                pass: self.pass(overrides).ok().flatten().unwrap_or(written.street.pass),
+                sensor: self.sensor.unwrap_or(written.street.sensor),
+                ..written.street.clone()
             }),
+            kind => {
+                let connected = SourceKind::CONNECTED.contains(&kind);
+                let given = overrides.input.as_ref().filter(|_| connected);
+                let given = given.map(|input| input.to_string_lossy().into_owned());
+                let live = LiveSource {
+                    address: given.or_else(|| written.address.clone()),
+                    serial: written.serial.clone(),
+                    slack_ns: written.slack_ns,
+                };
+                if connected && live.address.is_none() {
+                    return None;
+                }
+                Source::live(kind.name(), live)
+            }
+        };
+        let delivery = overrides.delivery.unwrap_or(self.runtime.delivery);
+        let waits = source.live.is_none() || (source.is_stdin() && delivery == Delivery::Lossless);
+        let on_bad = if waits {
+            OnBadEvent::Error
+        } else {
+            OnBadEvent::Drop
         };
         Some(Source {
-            pace: overrides.pace.unwrap_or(self.source.pace),
-            time_unit: self.source.time_unit,
-            on_backward_time: self.source.on_backward_time,
-            on_outside_sensor: self.source.on_outside_sensor,
-            hot_pixels: self
-                .source
-                .hot_pixels
-                .as_ref()
-                .map(|section| section.mask.clone()),
-            filters: self.source.filters,
+            pace: overrides.pace.unwrap_or(written.pace),
+            time_unit: written.time_unit,
+            format: written.format.map(str::to_owned),
+            on_backward_time: written.on_backward_time.unwrap_or(on_bad),
+            on_outside_sensor: written.on_outside_sensor.unwrap_or(on_bad),
+            hot_pixels: written.hot_pixels.as_ref().map(|section| section.mask.clone()),
+            filters: written.filters,
             ..source
         })
+    }
+
+    /// What is wrong with the source that the command line gives, by its option.
+    fn wrong_options(&self, overrides: &Overrides) -> Vec<(&'static str, String)> {
+        let mut wrong = Vec::new();
+        let kind = self.source.kind;
+        let has_no_effect = format!(
+            "has no effect with source.kind = \"{}\"; leave it out",
+            kind.name()
+        );
+        match &overrides.input {
+            Some(input) if SourceKind::CONNECTED.contains(&kind) => {
+                if let Err(message) = source::check_address(&input.to_string_lossy()) {
+                    wrong.push(("--input", message));
+                }
+            }
+            Some(_) if kind.is_live() => wrong.push(("--input", has_no_effect.clone())),
+            _ => {}
+        }
+        if let Err(message) = self.pass(overrides) {
+            wrong.push(("--input", format!("with source.kind = \"street\", {message}")));
+        }
+        if overrides.pace.is_some() && kind.is_live() {
+            wrong.push(("--pace", has_no_effect));
+        }
+        wrong
     }
 
     /// The pass of the street that the overrides name, if they do.
@@ -253,15 +300,15 @@ impl Config {
         }
         let source = self.source(overrides);
         if source.is_none() {
-            let message = "is missing; write the recording's path here, or give it with --input";
+            let message = if !SourceKind::CONNECTED.contains(&self.source.kind) {
+                "is missing; write the recording's path here, or give it with --input"
+            } else {
+                "is missing; write the camera's address here, such as \"192.168.0.7:7777\", or give it with --input"
+            };
             errors.push(in_file(&self.places.source, message.to_owned()));
         }
-        if let Err(message) = self.pass(overrides) {
-            errors.push(option(
-                "--input",
-                format!("with source.kind = \"street\", {message}"),
-            ));
-        }
+        let wrong = self.wrong_options(overrides).into_iter();
+        errors.extend(wrong.map(|(key, message)| option(key, message)));
         let name = overrides.name.as_deref().unwrap_or(&self.name);
         if let Err(message) = schema::check_name(name, schema::MAX_RUN_NAME) {
             errors.push(option("--name", message));

@@ -1,12 +1,12 @@
-//! The section `[source]`: a recording, the simulated street, or frames.
+//! The section `[source]`: a recording, the simulated street, frames, or a live stream.
 
 use super::frames::{check_source, frames};
 use super::noise::{self, HotPixelsSection};
 use super::reader::{Table, Value};
 use super::schema::key;
 use super::words::{
-    ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, STREET_PASSES, TIME_UNITS, Words, pace_of_factor,
-    parse_pace,
+    ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, PACE_HELP, RAW_FORMATS, STREET_PASSES, TIME_UNITS, Words, one_of,
+    pace_of_factor, parse_pace,
 };
 use crate::plan::{FRAMES, Filters, FrameSource, OnBadEvent, Pace, Street, TimeUnit};
 use std::ops::RangeInclusive;
@@ -18,22 +18,46 @@ pub(super) enum SourceKind {
     File,
     Street,
     Frames,
+    Stdin,
+    Tcp,
+    Aedat4Tcp,
+    Usb,
 }
 
 const SOURCE_KINDS: Words<'static, SourceKind> = Words::new(&[
     ("file", SourceKind::File),
     ("street", SourceKind::Street),
     (FRAMES, SourceKind::Frames),
+    ("stdin", SourceKind::Stdin),
+    ("tcp", SourceKind::Tcp),
+    ("aedat4_tcp", SourceKind::Aedat4Tcp),
+    ("usb", SourceKind::Usb),
 ]);
 
 impl SourceKind {
+    /// Sources that are connected to, at an address.
+    pub(super) const CONNECTED: &'static [Self] = &[Self::Tcp, Self::Aedat4Tcp];
+    const REPLAYED: &'static [Self] = &[Self::File, Self::Street, Self::Frames];
+    const LIVE: &'static [Self] = &[Self::Stdin, Self::Tcp, Self::Aedat4Tcp, Self::Usb];
+    /// Sources whose bytes may be of any format.
+    const ANY_FORMAT: &'static [Self] = &[Self::File, Self::Stdin, Self::Tcp];
+
     /// As in the configuration.
-    fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Self::File => "file",
             Self::Street => "street",
             Self::Frames => FRAMES,
+            Self::Stdin => "stdin",
+            Self::Tcp => "tcp",
+            Self::Aedat4Tcp => "aedat4_tcp",
+            Self::Usb => "usb",
         }
+    }
+
+    /// A stream that comes when it comes.
+    pub(super) fn is_live(self) -> bool {
+        Self::LIVE.contains(&self)
     }
 }
 
@@ -44,15 +68,27 @@ const SPEEDS_M_S: RangeInclusive<f64> = 1.0..=40.0;
 /// Steps of its simulation, ns.
 const STEPS_NS: RangeInclusive<u64> = 500_000..=10_000_000;
 
-/// `[source]` as written: the path may be missing.
+/// Slacks of live sources, ns.
+const SLACKS_NS: RangeInclusive<u64> = 1_000_000..=10_000_000_000;
+/// The slack where the configuration says nothing, ns.
+const SLACK_NS: u64 = 100_000_000;
+/// Longest serial number of a camera.
+const MAX_SERIAL: usize = 64;
+
+/// `[source]` as written: path or address may be missing.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct SourceSection {
     pub kind: SourceKind,
     pub path: Option<PathBuf>,
     pub pace: Pace,
+    pub address: Option<String>,
+    pub serial: Option<String>,
+    pub slack_ns: u64,
     pub time_unit: TimeUnit,
-    pub on_backward_time: OnBadEvent,
-    pub on_outside_sensor: OnBadEvent,
+    pub format: Option<&'static str>,
+    /// What is written; else it depends on whether the source is live.
+    pub on_backward_time: Option<OnBadEvent>,
+    pub on_outside_sensor: Option<OnBadEvent>,
     pub hot_pixels: Option<HotPixelsSection>,
     pub filters: Filters,
     pub street: Street,
@@ -64,9 +100,10 @@ pub(super) fn source(table: Table<'_>) -> (Option<SourceKind>, Option<SourceSect
     let kind = table.read(
         key(
             "kind",
-            "\"file\", \"street\" or \"frames\"",
+            "\"file\", \"street\", \"frames\", \"stdin\", \"tcp\", \"aedat4_tcp\" or \"usb\"",
             Some("\"file\""),
-            "What events come from: a recording, or the simulated street; or frames, without events.",
+            "What events come from: a recording, the simulated street, or live from standard input, a TCP server, a TCP \
+             server of DV software, or a USB camera; or frames, without events.",
         ),
         SourceKind::File,
         |v| v.word(&SOURCE_KINDS),
@@ -83,6 +120,40 @@ pub(super) fn source(table: Table<'_>) -> (Option<SourceKind>, Option<SourceSect
             only_with(v, kind, &[SourceKind::File, SourceKind::Frames], |v| path(v, "events.h5"))
         },
     );
+    let address = table.read_optional(
+        key(
+            "address",
+            "\"host:port\"",
+            None,
+            "Where the TCP server of the camera listens. `--input` takes precedence.",
+        ),
+        |v| {
+            only_with(v, kind, SourceKind::CONNECTED, |v| {
+                let text = v.text("an address in quotes, such as \"192.168.0.7:7777\"")?;
+                v.accept(check_address(text).map(|()| text.to_owned()))
+            })
+        },
+    );
+    let serial = table.read_optional(
+        key(
+            "serial",
+            "text",
+            None,
+            "Serial number of the USB camera; without it, the first one found is taken.",
+        ),
+        |v| only_with(v, kind, &[SourceKind::Usb], serial),
+    );
+    let slack_ns = table.read(
+        key(
+            "slack",
+            "duration from \"1ms\" to \"10s\"",
+            Some("\"100ms\""),
+            "Live sources: while no event comes, a window closes this long after its end; events that come later than \
+             that are left out and counted.",
+        ),
+        SLACK_NS,
+        |v| only_with(v, kind, SourceKind::LIVE, slack),
+    );
     let pace = table.read(
         key(
             "pace",
@@ -91,7 +162,7 @@ pub(super) fn source(table: Table<'_>) -> (Option<SourceKind>, Option<SourceSect
             "How fast a recording is replayed: as fast as the graph takes it, as recorded, or so many times as fast.",
         ),
         Pace::Unpaced,
-        pace,
+        |v| only_with(v, kind, SourceKind::REPLAYED, pace),
     );
     let time_unit = table.read(
         key(
@@ -102,30 +173,36 @@ pub(super) fn source(table: Table<'_>) -> (Option<SourceKind>, Option<SourceSect
              frames auto means seconds.",
         ),
         TimeUnit::Auto,
-        |v| {
-            only_with(v, kind, &[SourceKind::File, SourceKind::Frames], |v| {
-                v.word(&TIME_UNITS)
-            })
-        },
+        |v| only_with(v, kind, OF_TIMES, |v| v.word(&TIME_UNITS)),
     );
-    let on_backward_time = table.read(
+    let format = table.read(
+        key(
+            "format",
+            "\"auto\", \"evt2\", \"evt21\", \"evt21_legacy\", \"evt3\" or \"dat\"",
+            Some("\"auto\""),
+            "What the bytes are: auto, as their beginning says; else the bare words of a Prophesee sensor, whose header may \
+             be missing.",
+        ),
+        None,
+        |v| only_with(v, kind, SourceKind::ANY_FORMAT, |v| v.word(&RAW_FORMATS)),
+    );
+    let on_backward_time = table.read_optional(
         key(
             "on_backward_time",
             "\"error\", \"drop\" or \"clamp\"",
             Some("\"error\""),
-            "An event earlier than its forerunner: stop, leave it out, or treat it as at the latest time so far.",
+            "An event earlier than its forerunner: stop, leave it out, or treat it as at the latest time so far. Of live \
+             sources the default is \"drop\".",
         ),
-        OnBadEvent::Error,
         |v| only_with(v, kind, OF_EVENTS, |v| v.word(&ON_BACKWARD_TIME)),
     );
-    let on_outside_sensor = table.read(
+    let on_outside_sensor = table.read_optional(
         key(
             "on_outside_sensor",
             "\"error\" or \"drop\"",
             Some("\"error\""),
-            "An event outside the sensor: stop, or leave it out.",
+            "An event outside the sensor: stop, or leave it out. Of live sources the default is \"drop\".",
         ),
-        OnBadEvent::Error,
         |v| only_with(v, kind, OF_EVENTS, |v| v.word(&ON_OUTSIDE_SENSOR)),
     );
     check_source(&table, kind);
@@ -138,8 +215,12 @@ pub(super) fn source(table: Table<'_>) -> (Option<SourceKind>, Option<SourceSect
         Some(SourceSection {
             kind: kind?,
             path: path?,
+            address: address?,
+            serial: serial?,
+            slack_ns: slack_ns?,
             pace: pace?,
             time_unit: time_unit?,
+            format: format?,
             on_backward_time: on_backward_time?,
             on_outside_sensor: on_outside_sensor?,
             hot_pixels: hot_pixels?,
@@ -221,7 +302,21 @@ fn street(table: Table<'_>, kind: Option<SourceKind>) -> Option<Street> {
 }
 
 /// Kinds of sources that have events.
-const OF_EVENTS: &[SourceKind] = &[SourceKind::File, SourceKind::Street];
+const OF_EVENTS: &[SourceKind] = &[
+    SourceKind::File,
+    SourceKind::Street,
+    SourceKind::Stdin,
+    SourceKind::Tcp,
+    SourceKind::Aedat4Tcp,
+    SourceKind::Usb,
+];
+/// Kinds of sources whose times may be in any unit.
+const OF_TIMES: &[SourceKind] = &[
+    SourceKind::File,
+    SourceKind::Frames,
+    SourceKind::Stdin,
+    SourceKind::Tcp,
+];
 
 /// Reads a key that only some kinds of sources have. While the kind is not known it is read as well.
 pub(super) fn only_with<'r, T>(
@@ -232,14 +327,46 @@ pub(super) fn only_with<'r, T>(
 ) -> Option<T> {
     match kind {
         Some(kind) if !wanted.contains(&kind) => {
-            let others: Vec<String> = wanted.iter().map(|k| format!("\"{}\"", k.name())).collect();
+            let names: Vec<String> = wanted.iter().map(|k| format!("\"{}\"", k.name())).collect();
             value.refuse(format!(
                 "has no effect with source.kind = \"{}\"; remove it, or write kind = {}",
                 kind.name(),
-                others.join(" or ")
+                one_of(&names)
             ))
         }
         _ => read(value),
+    }
+}
+
+/// An address `host:port`.
+pub(super) fn check_address(text: &str) -> Result<(), String> {
+    let right = text.rsplit_once(':').is_some_and(|(host, port)| {
+        !host.is_empty()
+            && !host.contains(|c: char| c.is_whitespace() || c.is_control())
+            && port.parse::<u16>().is_ok_and(|port| port > 0)
+    });
+    if right {
+        return Ok(());
+    }
+    Err(format!(
+        "\"{text}\" is no address; write host and port, such as \"192.168.0.7:7777\""
+    ))
+}
+
+fn serial(value: &Value<'_>) -> Option<String> {
+    let text = value.text("a serial number in quotes")?;
+    if text.is_empty() || text.len() > MAX_SERIAL || text.contains(char::is_control) {
+        return value.refuse(format!(
+            "is no serial number; write the camera's, of at most {MAX_SERIAL} characters"
+        ));
+    }
+    Some(text.to_owned())
+}
+
+fn slack(value: &Value<'_>) -> Option<u64> {
+    match value.duration_ns()? {
+        ns if SLACKS_NS.contains(&ns) => Some(ns),
+        _ => value.refuse("cannot be the slack; write a duration from \"1ms\" to \"10s\""),
     }
 }
 

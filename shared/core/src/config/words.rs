@@ -47,6 +47,15 @@ pub const TIME_UNITS: Words<'static, TimeUnit> = Words(&[
     ("us", TimeUnit::Us),
     ("ns", TimeUnit::Ns),
 ]);
+/// `source.format`: nothing for "auto", else the name of an encoding.
+pub const RAW_FORMATS: Words<'static, Option<&'static str>> = Words(&[
+    ("auto", None),
+    ("evt2", Some("evt2")),
+    ("evt21", Some("evt21")),
+    ("evt21_legacy", Some("evt21_legacy")),
+    ("evt3", Some("evt3")),
+    ("dat", Some("dat")),
+]);
 /// `source.on_backward_time`.
 pub const ON_BACKWARD_TIME: Words<'static, OnBadEvent> = Words(&[
     ("error", OnBadEvent::Error),

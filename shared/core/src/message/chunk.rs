@@ -2,7 +2,7 @@
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
 use super::{Event, Message, Stamp, header};
-use crate::member::MemberSet;
+use crate::member::{MemberSet, Reason};
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -23,7 +23,7 @@ pub struct ChunkHeader {
     pub epoch: u32,
     /// Index of the segment within the tick's plan.
     pub segment: u32,
-    /// [`ChunkHeader::OPENS_SEGMENT`] and [`ChunkHeader::CLOSES_SEGMENT`].
+    /// [`ChunkHeader::OPENS_SEGMENT`] and [`ChunkHeader::CLOSES_SEGMENT`], and [`ChunkHeader::loss`].
     pub flags: u32,
     /// Bit i is set when this chunk closes window i of the plan.
     pub closes: u32,
@@ -36,6 +36,19 @@ impl ChunkHeader {
     pub const OPENS_SEGMENT: u32 = 1;
     /// Flag: the last chunk of its segment.
     pub const CLOSES_SEGMENT: u32 = 2;
+    /// Where the flags hold the code of a reason.
+    const LOSS_SHIFT: u32 = 8;
+
+    /// Why events of this segment are missing, if ingest knows that some are: no window that covers the segment is
+    /// whole.
+    pub fn loss(&self) -> Option<Reason> {
+        Reason::from_code(self.flags >> Self::LOSS_SHIFT)
+    }
+
+    /// The flags with this loss.
+    pub fn with_loss(flags: u32, loss: Option<Reason>) -> u32 {
+        flags | loss.map_or(0, Reason::code) << Self::LOSS_SHIFT
+    }
 
     /// True for the first chunk of its segment.
     pub fn opens_segment(&self) -> bool {

@@ -22,7 +22,7 @@ pub use frame::{ChannelOrder, FrameHeader, Frames};
 pub use lifecycle::{Lifecycle, LifecycleHeader, ServiceHealth, ServiceState};
 pub use matched::{Candidate, MatchHeader, Matches};
 pub use stamp::{Life, Stamp};
-pub use stats::{Histogram, ServicePhase, Stats, StatsHeader};
+pub use stats::{Histogram, LiveStats, ServicePhase, Stats, StatsHeader};
 pub use tick::{Control, ControlHeader, MemberSetting, TickHeader, TickKind, Ticks};
 
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;

@@ -98,10 +98,41 @@ impl Histogram {
     }
 }
 
+/// What ingest of a live source knows about it. All zero for recordings.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("evpr.LiveStats.1")]
+pub struct LiveStats {
+    /// 1 for a live source, else 0.
+    pub is_live: u32,
+    /// 1 while it is connected, else 0.
+    pub connected: u32,
+    /// Ticks that are not whole because ingest fell behind.
+    pub dropped_ticks: u64,
+    /// Ticks that are not whole because the camera, or ingest, was away.
+    pub missed_ticks: u64,
+    /// Events that were thrown away in such ticks.
+    pub lost_events: u64,
+    /// Events left out because their window had closed before they came.
+    pub late_events: u64,
+    /// How often a connection was lost.
+    pub disconnects: u64,
+    /// How often the sensor's time jumped.
+    pub jumps: u64,
+    /// Host monotonic time minus sensor time, ns: the smallest lately, so of the quickest arrivals.
+    pub offset_ns: i64,
+    /// How much faster the sensor's clock is than the host's, parts per billion; 0 until there is enough to tell.
+    pub drift_ppb: i64,
+    /// Median and 99th percentile of how much later than the quickest events arrive, ns.
+    pub delay_p50_ns: u64,
+    /// The 99th percentile.
+    pub delay_p99_ns: u64,
+}
+
 /// Counters of one process since its start. The payload is one unused byte.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[type_name("evpr.StatsHeader.1")]
+#[type_name("evpr.StatsHeader.2")]
 pub struct StatsHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
@@ -125,6 +156,8 @@ pub struct StatsHeader {
     pub events: u64,
     /// Ingest: permille of the recording that has been read, or 0 when not known.
     pub progress_permille: u64,
+    /// Ingest: the live source.
+    pub live: LiveStats,
     /// From sending to being taken up.
     pub waiting: Histogram,
     /// From being taken up to done, sending included.

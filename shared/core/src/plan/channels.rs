@@ -90,12 +90,12 @@ const SPARE_SUBSCRIBERS: usize = 2;
 const MIN_PUBLISHERS: usize = 4;
 
 impl Plan {
-    /// Most events in one chunk: as many as fit 512 KiB unpaced; less when paced, as chunks are then short. A source of
-    /// frames has none, but a channel has room for at least one.
+    /// Most events in one chunk: as many as fit 512 KiB unpaced; less when paced or live, as chunks are then short. A source
+    /// of frames has none, but a channel has room for at least one.
     pub fn chunk_events(&self) -> usize {
         if self.source.frames.is_some() {
             1
-        } else if self.source.pace == Pace::Unpaced {
+        } else if self.source.pace == Pace::Unpaced && !self.is_live() {
             1 << 16
         } else {
             1 << 14

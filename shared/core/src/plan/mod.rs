@@ -17,7 +17,7 @@ pub use positions::{
     Crop, DEFAULT_MAX_GAP_NS, PositionClock, PositionCompat, PositionKind, Positions, UtmZone,
 };
 pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
-pub use source::{OnBadEvent, Pace, Source, Street, StreetPass, TimeUnit};
+pub use source::{LiveSource, OnBadEvent, Pace, Source, Street, StreetPass, TimeUnit};
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

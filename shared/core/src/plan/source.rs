@@ -1,20 +1,22 @@
 //! Where events come from.
 
-use super::{FRAMES, Filters, FrameSource, HotPixels, Sensor};
+use super::{Delivery, FRAMES, Filters, FrameSource, HotPixels, Plan, Sensor};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// Where events come from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Source {
-    /// `file`, `street` or `frames`.
+    /// `file`, `street`, `frames`, `stdin`, `tcp`, `aedat4_tcp` or `usb`.
     pub kind: String,
-    /// The recording. Of a street: what it is called in messages and in traverses.
+    /// The recording. Of another kind: what it is called in messages and in traverses.
     pub path: PathBuf,
     /// How fast it is replayed.
     pub pace: Pace,
     /// Unit of times in text recordings.
     pub time_unit: TimeUnit,
+    /// Name of the encoding of bare words; `None` where the bytes say what they are.
+    pub format: Option<String>,
     /// What to do with a time that goes back.
     pub on_backward_time: OnBadEvent,
     /// What to do with an event outside the sensor.
@@ -27,6 +29,19 @@ pub struct Source {
     pub street: Option<Street>,
     /// How frames are read, when the kind is `frames`.
     pub frames: Option<FrameSource>,
+    /// How the stream is got at, when it is no recording and no street.
+    pub live: Option<LiveSource>,
+}
+
+/// A stream that comes when it comes.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LiveSource {
+    /// `host:port` of the server, for `tcp` and `aedat4_tcp`.
+    pub address: Option<String>,
+    /// Serial number of the camera, for `usb`.
+    pub serial: Option<String>,
+    /// While no event comes, a window closes this long after its end, ns.
+    pub slack_ns: u64,
 }
 
 impl Source {
@@ -37,13 +52,35 @@ impl Source {
             path: path.into(),
             pace: Pace::Unpaced,
             time_unit: TimeUnit::Auto,
+            format: None,
             on_backward_time: OnBadEvent::Error,
             on_outside_sensor: OnBadEvent::Error,
             hot_pixels: None,
             filters: Filters::default(),
             street: None,
             frames: None,
+            live: None,
         }
+    }
+
+    /// A live stream of this kind, with the defaults as for [`Source::file`].
+    pub fn live(kind: &str, live: LiveSource) -> Self {
+        let name = match (kind, &live.address, &live.serial) {
+            ("stdin", ..) => "standard input".to_owned(),
+            (_, Some(address), _) => address.clone(),
+            (_, _, Some(serial)) => format!("USB camera {serial}"),
+            _ => "USB camera".to_owned(),
+        };
+        Self {
+            kind: kind.to_owned(),
+            live: Some(live),
+            ..Self::file(name)
+        }
+    }
+
+    /// True for standard input.
+    pub fn is_stdin(&self) -> bool {
+        self.kind == "stdin"
     }
 
     /// A simulated street, with the defaults as for [`Source::file`].
@@ -164,4 +201,12 @@ pub enum OnBadEvent {
     Drop,
     /// Times only: treat it as at the latest time so far, and count it.
     Clamp,
+}
+
+impl Plan {
+    /// Whether events are taken as they come, by the time of the host, and lost when nobody takes them. In lossless
+    /// delivery standard input is not: whoever writes it can wait, so it is read like a file.
+    pub fn is_live(&self) -> bool {
+        self.source.live.is_some() && !(self.source.is_stdin() && self.delivery == Delivery::Lossless)
+    }
 }

@@ -20,6 +20,9 @@ use std::path::Path;
 /// Bytes by which a format is known.
 const HEAD_BYTES: usize = 4096;
 
+/// Bytes by which a stream is known: it may have sent only a little yet.
+const LIVE_HEAD_BYTES: usize = 16;
+
 /// What a reader needs to be told where the recording itself does not say it.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ReadOptions {
@@ -197,9 +200,8 @@ enum Place<'a> {
 /// `name` is what the recording itself is called: its ending may count.
 fn open_known(mut input: Input, name: &Path, place: Place<'_>, options: &ReadOptions) -> Opened {
     let path = input.path().to_owned();
-    // A live stream may have sent only a little yet: it is known by its first bytes.
     let len = if matches!(place, Place::Pipe) {
-        1
+        LIVE_HEAD_BYTES
     } else {
         HEAD_BYTES
     };
@@ -222,6 +224,7 @@ fn open_known(mut input: Input, name: &Path, place: Place<'_>, options: &ReadOpt
     }
     let extension = name
         .extension()
+        .filter(|_| !matches!(place, Place::Pipe))
         .map(|e| e.to_string_lossy().to_lowercase())
         .unwrap_or_default();
     let named = FORMATS

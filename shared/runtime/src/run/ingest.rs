@@ -8,10 +8,10 @@ use crate::domain::Schedule;
 use crate::telemetry::HEARTBEAT;
 use crate::wait::{Waiter, wait_set};
 use evpr_core::message::{
-    ChunkHeader, Chunks, Control, Event, MemberSetting, ServicePhase, TickHeader, TickKind, Ticks,
+    ChunkHeader, Chunks, Control, Event, LiveStats, MemberSetting, ServicePhase, TickHeader, TickKind, Ticks,
 };
 use evpr_core::plan::{Delivery, Topic};
-use evpr_core::stage::{IngestPort, Outlet, StageError};
+use evpr_core::stage::{IngestPort, OpenedTick, Outlet, StageError};
 use std::time::Duration;
 use tracing::{debug, warn};
 
@@ -132,6 +132,14 @@ impl IngestPort for Port {
         if let Err(e) = self.ctx.telemetry.beat() {
             warn!("progress cannot be reported: {e}");
         }
+    }
+
+    fn live(&mut self, stats: LiveStats) {
+        self.ctx.telemetry.stats.live = stats;
+    }
+
+    fn opened_before(&self) -> Option<OpenedTick> {
+        self.inherited.newest
     }
 }
 

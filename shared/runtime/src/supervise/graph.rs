@@ -16,7 +16,7 @@ use evpr_core::message::{
     MatchHeader, Matches, Message, ServiceHealth, ServicePhase, Stats, StatsHeader, TickKind, Ticks,
 };
 use evpr_core::plan::{Delivery, SequenceMethod, Service, ServiceKind, Topic};
-use evpr_core::stage::Outlet;
+use evpr_core::stage::{OpenedTick, Outlet};
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
 use nix::sys::signal::Signal;
@@ -137,6 +137,8 @@ pub struct Supervisor {
     next_answer: u64,
     /// The first tick that ingest has never opened.
     next_open: u64,
+    /// The newest tick that it has opened.
+    newest_open: Option<OpenedTick>,
     /// Where ingest has said that the stream ends.
     end_tick: Option<u64>,
     answers: u64,
@@ -263,6 +265,7 @@ impl Supervisor {
             epoch: 0,
             next_answer: 0,
             next_open: 0,
+            newest_open: None,
             end_tick: None,
             answers: 0,
             failed: false,
@@ -402,7 +405,14 @@ impl Supervisor {
             let header = message.header();
             match TickKind::from_code(header.kind) {
                 Some(TickKind::Open) => {
-                    self.next_open = self.next_open.max(header.tick + 1);
+                    if header.tick >= self.next_open {
+                        self.next_open = header.tick + 1;
+                        self.newest_open = Some(OpenedTick {
+                            tick: header.tick,
+                            start_us: header.start_us,
+                            sent_ns: header.stamp.sent_ns,
+                        });
+                    }
                     self.members.opened(header.tick, header.control_version);
                 }
                 Some(TickKind::End) => self.end_tick = Some(header.tick),
@@ -627,7 +637,9 @@ impl Supervisor {
             ServiceKind::Ingest => {
                 self.epoch += 1;
                 let first = needed.saturating_sub(self.plan.slicing.segments().look_back_ticks());
-                self.folder.write_schedule(&self.members.schedule(first))?;
+                let mut schedule = self.members.schedule(first);
+                schedule.newest = self.newest_open;
+                self.folder.write_schedule(&schedule)?;
                 first
             }
             _ => self.next_answer.saturating_sub(history),
