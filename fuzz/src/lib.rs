@@ -5,7 +5,7 @@ mod prophesee;
 mod recordings;
 
 pub use prophesee::{dat, evt2, evt3, evt21};
-pub use recordings::{aedat2, aedat4, es, hdf5, npy, npz};
+pub use recordings::{aedat2, aedat4, es, hdf5, mcap, npy, npz, rosbag};
 
 /// A target by its name, which is also its folder's in `corpus`.
 pub type Target = (&'static str, fn(&[u8]));
@@ -20,6 +20,8 @@ pub const TARGETS: &[Target] = &[
     ("evt21", evt21),
     ("evt3", evt3),
     ("hdf5", hdf5),
+    ("mcap", mcap),
     ("npy", npy),
     ("npz", npz),
+    ("rosbag", rosbag),
 ];

@@ -29,6 +29,16 @@ pub fn es(data: &[u8]) {
     read(open_input(input(data), &ReadOptions::default()));
 }
 
+/// A bag of ROS 1.
+pub fn rosbag(data: &[u8]) {
+    read(open_input(input(data), &ReadOptions::default()));
+}
+
+/// MCAP, as ROS 2 writes it.
+pub fn mcap(data: &[u8]) {
+    read(open_input(input(data), &ReadOptions::default()));
+}
+
 /// HDF5, which is read in any order and so from a file.
 pub fn hdf5(data: &[u8]) {
     // What would be read endlessly: values that are not stored count as 0, however many there are said to be.

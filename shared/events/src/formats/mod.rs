@@ -9,6 +9,7 @@ pub(crate) mod lines;
 mod numpy;
 mod packed;
 pub mod prophesee;
+mod ros;
 mod text;
 mod unit;
 
@@ -120,6 +121,20 @@ static FORMATS: &[Format] = &[
         otherwise: "has the ending of a NumPy array but not its signature; it is damaged or of another format",
     },
     Format {
+        extensions: &["bag"],
+        detects: |head| head.starts_with(ros::BAG_MAGIC),
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(ros::Ros::bag(input, options)?))),
+        otherwise: "has the ending of a bag of ROS 1 but not its first line; it is damaged or of another format",
+    },
+    Format {
+        extensions: &["mcap"],
+        detects: |head| head.starts_with(ros::MCAP_MAGIC),
+        conclusive: true,
+        open: Open::Stream(|input, options| Ok(Box::new(ros::Ros::mcap(input, options)?))),
+        otherwise: "has the ending of an MCAP file but not its signature; it is damaged or of another format",
+    },
+    Format {
         extensions: &["gz"],
         detects: |head| head.starts_with(packed::GZIP_MAGIC),
         conclusive: true,
@@ -144,15 +159,17 @@ static FORMATS: &[Format] = &[
 ];
 
 /// What is read, for messages.
-const READ: &str = "Prophesee RAW and DAT, AEDAT4, HDF5, NumPy, and text lines \"t x y p\", also \
-                    inside gzip or zip";
+const READ: &str = "Prophesee RAW and DAT, AEDAT4, AEDAT 2.0, Event Stream, HDF5, NumPy, bags of ROS 1, MCAP, and text \
+                    lines \"t x y p\", also inside gzip or zip";
 
 /// Formats that are known by their first bytes, and not read.
 static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#!AER-DAT1", "AEDAT 1.0"),
     (b"#!AER-DAT3", "AEDAT 3"),
-    (b"#ROSBAG", "rosbag"),
-    (b"\x89MCAP0", "MCAP"),
+    (
+        b"SQLite format 3\0",
+        "SQLite, perhaps a bag of ROS 2: convert that to MCAP with ros2 bag convert",
+    ),
     (b"PAR1", "Parquet"),
     (
         b"version https://git-lfs",
