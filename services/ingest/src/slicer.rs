@@ -7,10 +7,10 @@
 
 use crate::enabled::Enabled;
 use crate::{MAX_TIME_NS, RawEvent};
+use evpr_core::Reason;
 use evpr_core::message::{ChunkHeader, Event, TickHeader, TickKind};
 use evpr_core::plan::{Delivery, Origin, Plan, SegmentPlan, SliceMode};
 use evpr_core::stage::{IngestPort, StageError};
-use evpr_core::Reason;
 use evpr_events::{rough_seconds, seconds};
 
 /// Most ticks that time may jump ahead by, from one event to the next: more is taken for a damaged time.
