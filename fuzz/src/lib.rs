@@ -5,7 +5,7 @@ mod prophesee;
 mod recordings;
 
 pub use prophesee::{dat, evt2, evt3, evt21};
-pub use recordings::{aedat2, aedat4, es, hdf5, mcap, npy, npz, rosbag};
+pub use recordings::{aedat2, aedat4, es, hdf5, mcap, npy, npz, rosbag, rosbag2};
 
 /// A target by its name, which is also its folder's in `corpus`.
 pub type Target = (&'static str, fn(&[u8]));
@@ -24,4 +24,5 @@ pub const TARGETS: &[Target] = &[
     ("npy", npy),
     ("npz", npz),
     ("rosbag", rosbag),
+    ("rosbag2", rosbag2),
 ];

@@ -39,6 +39,11 @@ pub fn mcap(data: &[u8]) {
     read(open_input(input(data), &ReadOptions::default()));
 }
 
+/// A bag of ROS 2 in SQLite, read from a file.
+pub fn rosbag2(data: &[u8]) {
+    read_file(data, "db3", usize::MAX);
+}
+
 /// HDF5, which is read in any order and so from a file.
 pub fn hdf5(data: &[u8]) {
     // What would be read endlessly: values that are not stored count as 0, however many there are said to be.

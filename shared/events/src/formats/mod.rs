@@ -135,6 +135,14 @@ static FORMATS: &[Format] = &[
         otherwise: "has the ending of an MCAP file but not its signature; it is damaged or of another format",
     },
     Format {
+        extensions: &["db3"],
+        detects: |head| head.starts_with(ros::SQLITE_MAGIC),
+        conclusive: true,
+        open: Open::File(|path, options| Ok(Box::new(ros::Ros::bag2(path, options)?))),
+        otherwise: "has the ending of a bag of ROS 2 in SQLite but not its signature; it is damaged or of another \
+                    format",
+    },
+    Format {
         extensions: &["gz"],
         detects: |head| head.starts_with(packed::GZIP_MAGIC),
         conclusive: true,
@@ -159,17 +167,13 @@ static FORMATS: &[Format] = &[
 ];
 
 /// What is read, for messages.
-const READ: &str = "Prophesee RAW and DAT, AEDAT4, AEDAT 2.0, Event Stream, HDF5, NumPy, bags of ROS 1, MCAP, and text \
-                    lines \"t x y p\", also inside gzip or zip";
+const READ: &str = "Prophesee RAW and DAT, AEDAT4, AEDAT 2.0, Event Stream, HDF5, NumPy, bags of ROS 1 and ROS 2, \
+                    MCAP, and text lines \"t x y p\", most also inside gzip or zip";
 
 /// Formats that are known by their first bytes, and not read.
 static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#!AER-DAT1", "AEDAT 1.0"),
     (b"#!AER-DAT3", "AEDAT 3"),
-    (
-        b"SQLite format 3\0",
-        "SQLite, perhaps a bag of ROS 2: convert that to MCAP with ros2 bag convert",
-    ),
     (b"PAR1", "Parquet"),
     (
         b"version https://git-lfs",
@@ -177,11 +181,16 @@ static UNREADABLE: &[(&[u8], &str)] = &[
     ),
 ];
 
-/// Opens a recording. Its format is known by its content; where that is not conclusive, by its name's ending.
+/// Opens a recording. Its format is known by its content; where that is not conclusive, by its name's ending. The folder
+/// of a bag of ROS 2 stands for the file in it.
 ///
 /// # Errors
 /// One line, when it does not exist, cannot be read, is empty or of no known format, or holds no events.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn Recording>, SourceError> {
+    if ros::is_folder(path) {
+        let storage = ros::storage(path)?;
+        return open_known(Input::open(&storage)?, &storage, Place::File(&storage), options);
+    }
     open_known(Input::open(path)?, path, Place::File(path), options)
 }
 

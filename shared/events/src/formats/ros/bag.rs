@@ -8,6 +8,7 @@ use super::fields::{Fields, Layout, Short};
 use crate::{Input, SourceError};
 use std::collections::HashMap;
 use std::ops::Range;
+use std::path::Path;
 
 /// What every bag begins with.
 pub(in crate::formats) const MAGIC: &[u8] = b"#ROSBAG V";
@@ -266,8 +267,12 @@ impl Container for Bag {
         &self.chunk
     }
 
-    fn input(&self) -> &Input {
-        &self.input
+    fn path(&self) -> &Path {
+        self.input.path()
+    }
+
+    fn progress_permille(&self) -> u64 {
+        self.input.progress_permille()
     }
 
     fn topics(&self) -> &Topics {

@@ -2,6 +2,7 @@
 
 use crate::{Input, SourceError};
 use std::ops::Range;
+use std::path::Path;
 
 /// Most topics of a recording.
 const MAX_TOPICS: usize = 1 << 12;
@@ -39,7 +40,11 @@ pub(super) trait Container: Send {
     /// The bytes that the last message is in.
     fn chunk(&self) -> &[u8];
 
-    fn input(&self) -> &Input;
+    /// What it is called in messages.
+    fn path(&self) -> &Path;
+
+    /// How much of it has been read, permille.
+    fn progress_permille(&self) -> u64;
 
     /// The topics known so far.
     fn topics(&self) -> &Topics;

@@ -44,6 +44,12 @@ impl<'a> Fields<'a> {
         let big_endian = match bytes {
             [0, 0, _, _, ..] => true,
             [0, 1, _, _, ..] => false,
+            [0x28, 0xb5, 0x2f, 0xfd, ..] => {
+                return Err(
+                    "is compressed with ZSTD by itself, which is not read; rewrite the bag with ros2 bag convert"
+                        .to_owned(),
+                );
+            }
             [a, b, _, _, ..] => {
                 return Err(format!(
                     "is in the representation {a:02x}{b:02x}; plain CDR (0000, 0001) is read"
@@ -130,8 +136,7 @@ mod tests {
     #[test]
     fn cdr_leaves_gaps_and_has_two_orders() {
         let little = [
-            0, 1, 0, 0, 7, 0, 0, 0, 2, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0, 9, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0,
-            0, 0,
+            0, 1, 0, 0, 7, 0, 0, 0, 2, 1, 0, 0, 3, 0, 0, 0, b'a', b'b', 0, 9, 0, 0, 0, 0, 1, 0, 0, 0,
         ];
         let mut f = Fields::message(&little, Layout::Cdr).unwrap();
         assert_eq!((f.u8(), f.u32(), f.text()), (Ok(7), Ok(258), Ok(&b"ab"[..])));

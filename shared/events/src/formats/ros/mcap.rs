@@ -7,6 +7,7 @@ use super::fields::{Fields, Layout, Short};
 use crate::{Input, SourceError};
 use std::collections::HashMap;
 use std::ops::Range;
+use std::path::Path;
 
 /// What every file begins with.
 pub(in crate::formats) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -229,8 +230,12 @@ impl Container for Mcap {
         &self.chunk
     }
 
-    fn input(&self) -> &Input {
-        &self.input
+    fn path(&self) -> &Path {
+        self.input.path()
+    }
+
+    fn progress_permille(&self) -> u64 {
+        self.input.progress_permille()
     }
 
     fn topics(&self) -> &Topics {

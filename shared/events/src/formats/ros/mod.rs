@@ -1,4 +1,4 @@
-//! Recordings of ROS: bags of ROS 1, and MCAP, which ROS 2 writes.
+//! Recordings of ROS: bags of ROS 1, and MCAP and SQLite, which ROS 2 writes.
 //!
 //! One topic is read: the one that is asked for, else the first that holds events. Its messages are of type
 //! `dvs_msgs/EventArray` or `prophesee_event_msgs/EventArray`, whose events have ROS time; or of type
@@ -7,12 +7,14 @@
 //! have ROS time, which is a base in each packet plus the time since.
 
 mod bag;
+mod bag2;
 mod chunk;
 mod codec;
 mod container;
 mod fields;
 mod mcap;
 mod message;
+mod sqlite;
 
 use crate::{BATCH_EVENTS, Input, RawEvent, ReadOptions, Recording, Skipped, SourceError, SourceInfo};
 use codec::Codec;
@@ -20,9 +22,12 @@ use container::{Container, Next};
 use evpr_core::plan::Sensor;
 use message::{Kind, Message, TYPES};
 use std::ops::Range;
+use std::path::Path;
 
 pub(super) use bag::MAGIC as BAG_MAGIC;
+pub(super) use bag2::{is_folder, storage};
 pub(super) use mcap::MAGIC as MCAP_MAGIC;
+pub(super) use sqlite::MAGIC as SQLITE_MAGIC;
 
 /// A batch is full when less room than this is left: more than what one word of any encoding gives.
 const MIN_ROOM: usize = 64;
@@ -60,6 +65,11 @@ impl Ros {
     /// MCAP.
     pub(super) fn mcap(input: Input, options: &ReadOptions) -> Result<Self, SourceError> {
         Self::open(Box::new(mcap::Mcap::open(input)?), "MCAP", options)
+    }
+
+    /// The storage of a bag of ROS 2 in SQLite.
+    pub(super) fn bag2(path: &Path, options: &ReadOptions) -> Result<Self, SourceError> {
+        Self::open(Box::new(bag2::Bag2::open(path)?), "rosbag2", options)
     }
 
     fn open(
@@ -101,7 +111,7 @@ impl Ros {
             ),
             None => format!("holds no messages of type {TYPES}, but {listed}"),
         };
-        SourceError::malformed(self.container.input().path(), what)
+        SourceError::malformed(self.container.path(), what)
     }
 
     /// Whether this topic, with this message, is the one that is read.
@@ -157,7 +167,7 @@ impl Ros {
             }
             Err(what) => Err(what),
         };
-        outcome.map_err(|what| SourceError::malformed(self.container.input().path(), what))?;
+        outcome.map_err(|what| SourceError::malformed(self.container.path(), what))?;
         Ok(true)
     }
 
@@ -269,14 +279,14 @@ impl Recording for Ros {
         if self.ended && self.left.is_empty() {
             1000
         } else {
-            self.container.input().progress_permille()
+            self.container.progress_permille()
         }
     }
 
     fn describe(&self) -> SourceInfo {
         SourceInfo {
             format: self.format,
-            path: self.container.input().path().to_owned(),
+            path: self.container.path().to_owned(),
             time_unit: self.codec.as_ref().map_or("ns", Codec::time_unit),
             time_unit_from: "format",
             events: None,
