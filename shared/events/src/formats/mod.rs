@@ -6,8 +6,11 @@ pub(crate) mod decimal;
 mod es;
 mod hdf5;
 pub(crate) mod lines;
+mod number;
 mod numpy;
 mod packed;
+#[cfg(feature = "parquet")]
+mod parquet;
 pub mod prophesee;
 mod ros;
 mod text;
@@ -143,6 +146,13 @@ static FORMATS: &[Format] = &[
                     format",
     },
     Format {
+        extensions: &["parquet", "pq"],
+        detects: |head| head.starts_with(PARQUET_MAGIC),
+        conclusive: true,
+        open: Open::File(open_parquet),
+        otherwise: "has the ending of a Parquet file but not its signature; it is damaged or of another format",
+    },
+    Format {
         extensions: &["gz"],
         detects: |head| head.starts_with(packed::GZIP_MAGIC),
         conclusive: true,
@@ -168,13 +178,27 @@ static FORMATS: &[Format] = &[
 
 /// What is read, for messages.
 const READ: &str = "Prophesee RAW and DAT, AEDAT4, AEDAT 2.0, Event Stream, HDF5, NumPy, bags of ROS 1 and ROS 2, \
-                    MCAP, and text lines \"t x y p\", most also inside gzip or zip";
+                    MCAP, Parquet (where built in), and text lines \"t x y p\", most also inside gzip or zip";
+
+const PARQUET_MAGIC: &[u8] = b"PAR1";
+
+#[cfg(feature = "parquet")]
+fn open_parquet(path: &Path, options: &ReadOptions) -> Opened {
+    Ok(Box::new(parquet::Parquet::open(path, options.time_unit)?))
+}
+
+#[cfg(not(feature = "parquet"))]
+fn open_parquet(path: &Path, _: &ReadOptions) -> Opened {
+    Err(SourceError::malformed(
+        path,
+        "is Parquet, which this build does not read; build evpr with --features parquet",
+    ))
+}
 
 /// Formats that are known by their first bytes, and not read.
 static UNREADABLE: &[(&[u8], &str)] = &[
     (b"#!AER-DAT1", "AEDAT 1.0"),
     (b"#!AER-DAT3", "AEDAT 3"),
-    (b"PAR1", "Parquet"),
     (
         b"version https://git-lfs",
         "a Git LFS pointer, not the file itself",

@@ -11,6 +11,8 @@ mod hdf5_structure;
 mod new_file;
 mod nsavp;
 mod numpy;
+#[cfg(feature = "parquet")]
+mod parquet;
 
 use crate::RawEvent;
 use evpr_core::plan::Sensor;
@@ -67,6 +69,12 @@ static KINDS: &[Kind] = &[
         extensions: &["npz"],
         resolution_ns: 1,
         create: |path, _| Ok(Box::new(numpy::Npz::create(path)?)),
+    },
+    #[cfg(feature = "parquet")]
+    Kind {
+        extensions: &["parquet"],
+        resolution_ns: 1,
+        create: |path, _| Ok(Box::new(parquet::Parquet::create(path)?)),
     },
     Kind {
         extensions: &["aedat4"],

@@ -2,6 +2,7 @@
 
 use super::header::{Class, Scalar};
 use crate::RawEvent;
+use crate::formats::number::{Number, coordinate, polarity};
 use crate::formats::unit::{float_ns, whole_ns};
 
 /// Where a column stands in rows of `row_bytes` bytes; it lies wholly within them.
@@ -10,23 +11,6 @@ pub(super) struct Column {
     pub(super) offset: usize,
     pub(super) row_bytes: usize,
     pub(super) scalar: Scalar,
-}
-
-/// A number as it stands in the file.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Number {
-    /// A whole number; beyond `i64` counts as its largest.
-    Whole(i64),
-    Float(f64),
-}
-
-impl std::fmt::Display for Number {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Whole(n) => n.fmt(f),
-            Self::Float(n) => n.fmt(f),
-        }
-    }
 }
 
 /// Calls `each` for every row; false when it said so for one of them.
@@ -129,25 +113,6 @@ pub(super) fn times(rows: &[u8], column: Column, scale: u64, events: &mut [RawEv
         |e, v| set(e, whole_ns(v, scale)),
         |e, v| set(e, float_ns(v, scale)),
     )
-}
-
-/// A coordinate, beyond `u16` its largest; `None` for what is none.
-fn coordinate(number: Number) -> Option<u16> {
-    match number {
-        Number::Whole(v @ 0..) => Some(v.min(i64::from(u16::MAX)) as u16),
-        Number::Float(v) if v >= 0.0 && v.fract() == 0.0 => Some(v.min(f64::from(u16::MAX)) as u16),
-        _ => None,
-    }
-}
-
-fn polarity(number: Number) -> Option<bool> {
-    match number {
-        Number::Whole(1) => Some(true),
-        Number::Whole(0 | -1) => Some(false),
-        Number::Float(1.0) => Some(true),
-        Number::Float(0.0 | -1.0) => Some(false),
-        _ => None,
-    }
 }
 
 /// Sets columns or rows with `place`. False when one of them is none.

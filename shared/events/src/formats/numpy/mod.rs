@@ -15,9 +15,10 @@ mod header;
 mod literal;
 mod npz;
 
+use super::number::Number;
 use super::unit::{self, NAMES};
 use crate::{BATCH_EVENTS, Input, RawEvent, Recording, SourceError, SourceInfo};
-use decode::{Column, Number};
+use decode::Column;
 use evpr_core::plan::{Sensor, TimeUnit};
 use header::{Header, Item};
 use std::path::Path;
