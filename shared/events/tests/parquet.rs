@@ -194,18 +194,23 @@ mod built_in {
     fn damaged_files_never_panic() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.parquet");
+        // A new file each time: some file systems flush one that is written over.
+        let write = |bytes: &[u8]| {
+            let _ = std::fs::remove_file(&path);
+            std::fs::write(&path, bytes).unwrap();
+        };
         let mut by_sum = 0;
         for name in ["pages_v2", "split", "us_i64", "checked", "named_us"] {
             let whole = std::fs::read(fixtures().join(format!("{name}.parquet"))).unwrap();
             for len in (0..whole.len()).step_by(7) {
-                std::fs::write(&path, &whole[..len]).unwrap();
+                write(&whole[..len]);
                 let (events, said) = read(&path);
                 assert!(said.is_some() && events.is_empty(), "{name}: {len} bytes");
             }
             for at in (0..whole.len()).step_by(3) {
                 let mut bytes = whole.clone();
                 bytes[at] ^= 1 << (at % 8);
-                std::fs::write(&path, &bytes).unwrap();
+                write(&bytes);
                 let (events, said) = read(&path);
                 assert!(said.as_ref().is_none_or(|said| !said.contains('\n')), "{said:?}");
                 assert!(said.is_some() || !events.is_empty(), "{name}: byte {at}");
@@ -214,6 +219,44 @@ mod built_in {
         }
         // Every third byte of the values of `checked` alone.
         assert!(by_sum > 300 * 12 / 3, "{by_sum}");
+    }
+
+    /// A page, a footer or a list that claims to be huge is refused before room is made for it.
+    #[test]
+    fn claimed_sizes_are_not_trusted() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.parquet");
+        let said = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            read(&path).1.unwrap()
+        };
+        let whole = std::fs::read(fixtures().join("checked.parquet")).unwrap();
+        let end = whole.len() - 8;
+        // Of the first page: its kind, 0, in two bytes; a field's byte, its size in two.
+        assert_eq!(whole[4..7], [0x15, 0, 0x15]);
+        let huge = [0xfe, 0xff, 0xff, 0xff, 0x0f];
+        let header = [&whole[..7], &huge, &whole[9..]].concat();
+        let says = said(&header);
+        assert!(
+            says.contains("a page of 2147483647 bytes (at most 33554432 are read)"),
+            "{says}"
+        );
+        let mut footer = whole.clone();
+        footer[end..end + 4].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert!(said(&footer).contains("a footer of 4294967295 bytes"));
+        footer[end..end + 4].copy_from_slice(&(whole.len() as u32).to_le_bytes());
+        assert!(said(&footer).contains("damaged footer"));
+        // A footer that is a schema of 2^31 - 1 elements, and one of lists in lists.
+        for body in [
+            vec![0x29, 0xfc, 0xff, 0xff, 0xff, 0xff, 0x07, 0],
+            vec![0x39; 100_000],
+        ] {
+            let len = (body.len() as u32).to_le_bytes();
+            let bytes = [b"PAR1", body.as_slice(), &len, b"PAR1"].concat();
+            assert!(said(&bytes).contains("damaged footer"));
+        }
+        let encrypted = [&whole[..end + 4], b"PARE"].concat();
+        assert!(said(&encrypted).contains("encrypted"));
     }
 
     fn python(script: &str, argument: &Path) -> Option<String> {

@@ -25,6 +25,7 @@ pub(super) struct Pages {
     /// What of the file is not read yet.
     chunk: Chunk,
     kind: Kind,
+    has_dictionary: bool,
 }
 
 /// What a page's header says.
@@ -101,7 +102,12 @@ impl Header {
 impl Pages {
     /// `file` is read at any place.
     pub(super) fn new(file: File, chunk: Chunk, kind: Kind) -> Self {
-        Self { file, chunk, kind }
+        Self {
+            file,
+            chunk,
+            kind,
+            has_dictionary: false,
+        }
     }
 
     fn left(&self) -> u64 {
@@ -154,7 +160,7 @@ impl Pages {
         Ok(None)
     }
 
-    fn page(&self, header: &Header, packed: Vec<u8>) -> Result<Page, ParquetError> {
+    fn page(&mut self, header: &Header, packed: Vec<u8>) -> Result<Page, ParquetError> {
         if header.sum.is_some_and(|sum| sum != crc32fast::hash(&packed)) {
             return Err(bad("a page with a wrong check sum"));
         }
@@ -181,6 +187,21 @@ impl Pages {
             buf
         };
         let buf = Bytes::from(buf);
+        let width = self.kind.physical.bytes() as u64;
+        let needs = u64::from(header.values) * width;
+        match encoding(header.encoding)? {
+            Encoding::PLAIN | Encoding::BYTE_STREAM_SPLIT
+                if !self.kind.optional && needs > buf.len() as u64 =>
+            {
+                return Err(bad("a page that is shorter than its header says"));
+            }
+            Encoding::PLAIN_DICTIONARY | Encoding::RLE_DICTIONARY
+                if header.kind != 2 && !self.has_dictionary =>
+            {
+                return Err(bad("a page that needs a dictionary which is not there"));
+            }
+            _ => {}
+        }
         Ok(match header.kind {
             0 => Page::DataPage {
                 buf,
@@ -195,10 +216,10 @@ impl Pages {
             },
             2 => {
                 // Room for all of them is made before they are read.
-                let needs = u64::from(header.values) * self.kind.physical.bytes().max(1) as u64;
-                if needs > buf.len() as u64 {
+                if width == 0 || needs > buf.len() as u64 {
                     return Err(bad("a dictionary that is shorter than its header says"));
                 }
+                self.has_dictionary = true;
                 Page::DictionaryPage {
                     buf,
                     num_values: header.values,
