@@ -108,6 +108,9 @@ pub(crate) struct GraphRunArgs {
     /// The recording (or the pass of the simulated street), instead of the configuration's
     #[arg(short, long, value_name = "FILE")]
     pub(crate) input: Option<PathBuf>,
+    /// The file of positions that belongs to the recording, instead of the configuration's
+    #[arg(long, value_name = "FILE")]
+    pub(crate) positions: Option<PathBuf>,
     /// "unpaced", "realtime" or how many times as fast as recorded, instead of the configuration's
     #[arg(long, value_name = "PACE", value_parser = parse_pace)]
     pub(crate) pace: Option<Pace>,

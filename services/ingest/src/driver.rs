@@ -4,11 +4,13 @@ use crate::noise::Memory;
 use crate::pace::Pace;
 use crate::placed::Placed;
 use crate::reader::{Reader, next_screened};
+use crate::span::Span;
 use crate::{Noise, NoiseTally, RawEvent, Screen, ScreenTally, SliceTally, Slicer, SourceError, source};
 use crossbeam::channel::{Receiver, TryRecvError};
 use evpr_core::plan::{self, OnBadEvent, Plan};
 use evpr_core::stage::{IngestPort, StageError};
-use evpr_events::{Recording, seconds};
+use evpr_events::positions::Track;
+use evpr_events::{Recording, Trajectory, positions, seconds};
 
 /// What a run of ingest came to.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -36,6 +38,8 @@ pub struct Ingest {
     noise: Noise,
     /// Read before the start, to find the origin.
     first: Option<Vec<RawEvent>>,
+    /// Where the camera was, when the plan names a file that says it.
+    track: Option<Track>,
     replay: Replay,
 }
 
@@ -79,6 +83,7 @@ impl Ingest {
             resume_tick,
             "recording opened"
         );
+        let track = track(plan)?;
         let replay = Replay {
             slicer: Slicer::new(plan, resume_tick, epoch),
             factor: match plan.source.pace {
@@ -95,9 +100,10 @@ impl Ingest {
         };
         let mut ingest = Self {
             recording,
-            screen: Screen::new(plan),
+            screen: Screen::new(plan).within(Span::new(plan, track.as_ref())),
             noise: Noise::new(plan)?,
             first: None,
+            track,
             replay,
         };
         if resume_tick > 0 {
@@ -142,9 +148,13 @@ impl Ingest {
             screen,
             noise,
             first,
+            track,
             mut replay,
         } = self;
-        let trajectory = recording.trajectory();
+        let trajectory = match track {
+            Some(track) => Some(Box::new(track) as Box<dyn Trajectory>),
+            None => recording.trajectory(),
+        };
         let port = &mut Placed { port, trajectory };
         let reader = match Reader::spawn(recording, screen, noise, first) {
             Ok(reader) => reader,
@@ -340,4 +350,31 @@ impl Replay {
 
 fn fatal(e: &SourceError) -> StageError {
     StageError::Fatal(e.to_string())
+}
+
+/// The track that the plan names.
+fn track(plan: &Plan) -> Result<Option<Track>, SourceError> {
+    let Some(options) = &plan.source.positions else {
+        return Ok(None);
+    };
+    let (track, about) = positions::open(options)?;
+    tracing::info!(
+        format = about.format,
+        path = %about.path.display(),
+        positions = about.positions,
+        zone = about.zone,
+        first_ns = about.first_ns,
+        last_ns = about.last_ns,
+        length_m = about.length_m.round(),
+        "positions read"
+    );
+    if about.passed_over > 0 || about.out_of_order > 0 {
+        tracing::warn!(
+            path = %about.path.display(),
+            passed_over = about.passed_over,
+            out_of_order = about.out_of_order,
+            "positions left out: broken lines, or earlier than those before them"
+        );
+    }
+    Ok(Some(track))
 }

@@ -4,7 +4,9 @@ use crate::testing::{KeptPort, Sent};
 use crate::{Ingest, IngestSummary};
 use crossbeam::channel::bounded;
 use evpr_core::message::TickKind;
-use evpr_core::plan::{OnBadEvent, Origin, Pace, Plan, Sensor, SliceMode, test_plan};
+use evpr_core::plan::{
+    Crop, OnBadEvent, Origin, Pace, Plan, PositionClock, Positions, Sensor, SliceMode, test_plan,
+};
 use evpr_core::stage::StageError;
 use std::path::{Path, PathBuf};
 
@@ -79,6 +81,90 @@ fn text_and_hdf5_of_the_same_events_give_the_same_stream() {
     let mut text = plan(path);
     text.source.time_unit = evpr_core::plan::TimeUnit::Ns;
     assert_eq!(ran(&text, 0).1.sent, ran(&plan(fixture("valid.h5")), 0).1.sent);
+}
+
+/// Positions of `valid.h5`, whose first event is at 1 s: 1 m east per ms from 1.1 s to 1.25 s.
+fn positions(dir: &Path, shift_ms: u64) -> Positions {
+    let path = dir.join("positions.csv");
+    let lines = (100..=250u64)
+        .step_by(10)
+        .map(|ms| format!("{},{ms},7\n", 1_000 + shift_ms + ms));
+    std::fs::write(
+        &path,
+        format!("t_ms,east_m,north_m\n{}", lines.collect::<String>()),
+    )
+    .unwrap();
+    Positions::file(path)
+}
+
+fn opened(port: &KeptPort) -> Vec<(u64, Option<[f64; 2]>)> {
+    let open = port.ticks().filter(|(kind, _)| *kind == TickKind::Open);
+    open.map(|(_, header)| (header.start_us, header.position()))
+        .collect()
+}
+
+#[test]
+fn ticks_carry_the_position_of_their_start() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut plan = plan(fixture("valid.h5"));
+    plan.source.positions = Some(positions(dir.path(), 0));
+    let (_, port) = ran(&plan, 0);
+    let known = |start_us| (start_us, Some([start_us as f64 / 1e3 - 1e3, 7.0]));
+    let (before, after) = ((1_050_000, None), (1_000_000, None));
+    assert_eq!(opened(&port)[..2], [after, before]);
+    assert_eq!(
+        opened(&port)[2..5],
+        [known(1_100_000), known(1_150_000), known(1_200_000)]
+    );
+    let resumed = ran(&plan, 3).1;
+    assert_eq!(opened(&resumed)[0], known(1_150_000));
+}
+
+#[test]
+fn cropped_to_its_positions_a_recording_begins_and_ends_with_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut plan = plan(fixture("valid.h5"));
+    plan.source.positions = Some(Positions {
+        crop: Crop::Track,
+        ..positions(dir.path(), 5)
+    });
+    let (summary, port) = ran(&plan, 0);
+    // The first event inside is number 105, at 1.105 s exactly; the last, number 255, at 1.255000003 s, is not inside.
+    assert_eq!(summary.sliced.sent, 150);
+    let begun = opened(&port);
+    assert_eq!(
+        begun.iter().map(|(start, _)| *start).collect::<Vec<_>>(),
+        [1_105_000, 1_155_000, 1_205_000]
+    );
+    assert!(begun.iter().all(|(_, position)| position.is_some()));
+    assert_eq!((summary.end_tick, port.progress.0), (2, 1000));
+    let resumed = ran(&plan, 1).1;
+    assert_eq!(end_tick(&resumed), 2);
+    assert_eq!(opened(&resumed)[..], begun[1..]);
+}
+
+#[test]
+fn positions_of_another_time_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut plan = plan(fixture("valid.h5"));
+    let fails = |plan: &Plan| run(plan, 0, &mut KeptPort::default()).unwrap_err().to_string();
+    for crop in [Crop::None, Crop::Track] {
+        let late = positions(dir.path(), 1_000);
+        plan.source.positions = Some(Positions { crop, ..late.clone() });
+        let error = fails(&plan);
+        assert!(
+            error.contains("its events end before its positions begin at 2.1"),
+            "{error}"
+        );
+        let clock = PositionClock::Offset(-1_500 * MS as i64);
+        plan.source.positions = Some(Positions { crop, clock, ..late });
+        let error = fails(&plan);
+        assert!(error.contains("its positions end at 0.75"), "{error}");
+    }
+    plan.source.positions = Some(Positions::file(dir.path().join("none.csv")));
+    let (_keep, stop) = bounded(0);
+    let error = Ingest::new(&plan, 0, 1, stop).unwrap_err().to_string();
+    assert!(error.contains("none.csv: there is no such file"), "{error}");
 }
 
 #[test]

@@ -20,6 +20,7 @@ mod slicer;
 #[cfg(test)]
 mod slicer_tests;
 pub mod source;
+mod span;
 #[cfg(test)]
 mod testing;
 

@@ -125,5 +125,11 @@ pub(crate) fn next_screened(
     let outcome = recording.next_batch(events);
     // An event that the screen refuses comes before the place where decoding failed.
     screen.apply(events)?;
-    outcome
+    let over = screen.span().apply(events)?;
+    match outcome {
+        // What comes then is not used, be it an error.
+        _ if over => Ok(false),
+        Ok(false) => screen.span().end().map(|()| false),
+        other => other,
+    }
 }

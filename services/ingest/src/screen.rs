@@ -1,5 +1,6 @@
 //! The screen: checks every event against the sensor and the order of time.
 
+use crate::span::Span;
 use crate::{MAX_TIME_NS, RawEvent, SourceError};
 use evpr_core::message::Event;
 use evpr_core::plan::{OnBadEvent, Plan, Sensor};
@@ -34,6 +35,7 @@ pub struct Screen {
     /// Number in the recording of the next event.
     index: u64,
     tally: ScreenTally,
+    span: Span,
 }
 
 impl Screen {
@@ -47,7 +49,18 @@ impl Screen {
             latest_ns: 0,
             index: 0,
             tally: ScreenTally::default(),
+            span: Span::default(),
         }
+    }
+
+    /// The same, for the part of the recording that its positions cover.
+    pub(crate) fn within(self, span: Span) -> Self {
+        Self { span, ..self }
+    }
+
+    /// What its positions cover.
+    pub(crate) fn span(&mut self) -> &mut Span {
+        &mut self.span
     }
 
     /// What it has left out or changed.

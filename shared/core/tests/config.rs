@@ -5,7 +5,7 @@
 
 use evpr_core::Plan;
 use evpr_core::config::{Overrides, parse, test_catalog};
-use evpr_core::plan::Sensor;
+use evpr_core::plan::{Crop, PositionClock, PositionCompat, PositionKind, Positions, Sensor, UtmZone};
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
@@ -30,6 +30,7 @@ fn plan(path: &Path) -> Plan {
         .is_none_or(|source| source.street.is_none() && source.live.is_none());
     let overrides = Overrides {
         input: recording.then(|| PathBuf::from("input.h5")),
+        positions: recording.then(|| PathBuf::from("input.nmea")),
         ..Overrides::default()
     };
     let sensor = config.sensor().unwrap_or(Sensor {
@@ -148,6 +149,28 @@ fn live_windows_ascend_and_parameters_arrive() {
     assert_eq!(plan.extractors[0].dim, 49);
     assert_eq!((plan.deadline_ns, plan.fuse.length), (50_000_000, 1));
     assert_eq!(plan.name, "live-1");
+}
+
+#[test]
+fn positions_are_read_as_written() {
+    let plan = named("tests/config/valid/positions.toml");
+    let expected = Positions {
+        path: PathBuf::from("input.nmea"),
+        kind: PositionKind::Nmea,
+        clock: PositionClock::FirstAt(1_587_452_582_350_000_000),
+        date: Some(18_373),
+        zone: Some(UtmZone {
+            number: 56,
+            south: true,
+        }),
+        compat: PositionCompat::Paper,
+        max_gap_ns: 2_000_000_000,
+        crop: Crop::FirstLoop,
+    };
+    assert_eq!(plan.source.positions, Some(expected));
+    let ensemble = named("config/ensemble.toml");
+    assert_eq!(ensemble.source.positions, Some(Positions::file("input.nmea")));
+    assert_eq!(named("tests/config/valid/street.toml").source.positions, None);
 }
 
 #[test]

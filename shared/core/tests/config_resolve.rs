@@ -254,3 +254,50 @@ fn the_command_line_gives_an_address_and_nothing_that_a_live_source_has_no_use_f
         "command line: --input: has no effect with source.kind = \"usb\"; leave it out"
     );
 }
+
+#[test]
+fn positions_go_with_their_recording() {
+    let both = config("[source]\npath = \"a.h5\"\n[positions]\npath = \"a.nmea\"");
+    let path = |c: &Config, o: &Overrides| {
+        let plan = c.resolve(SENSOR, o);
+        plan.map(|p| p.source.positions.map(|p| p.path))
+            .map_err(|e| e.to_string())
+    };
+    assert_eq!(
+        path(&both, &Overrides::default()),
+        Ok(Some(PathBuf::from("a.nmea")))
+    );
+    let same = Overrides {
+        input: Some(PathBuf::from("a.h5")),
+        ..Overrides::default()
+    };
+    assert_eq!(path(&both, &same), Ok(Some(PathBuf::from("a.nmea"))));
+    let error = path(&both, &input()).unwrap_err();
+    assert!(
+        error.starts_with("command line: --input: a.nmea (positions.path) belongs to"),
+        "{error}"
+    );
+    let given = Overrides {
+        positions: Some(PathBuf::from("other.csv")),
+        ..input()
+    };
+    assert_eq!(path(&both, &given), Ok(Some(PathBuf::from("other.csv"))));
+    assert_eq!(path(&config(""), &given), Ok(Some(PathBuf::from("other.csv"))));
+    assert_eq!(path(&config(""), &input()), Ok(None));
+    let crop = config("[positions]\ncrop = \"track\"");
+    assert_eq!(
+        path(&crop, &input()).unwrap_err(),
+        "x.toml:2: positions.crop: has no effect without positions; write positions.path, or give them with --positions"
+    );
+    assert!(path(&crop, &given).is_ok());
+    let street = config("[source]\nkind = \"street\"");
+    let overrides = Overrides {
+        positions: Some(PathBuf::from("other.csv")),
+        ..Overrides::default()
+    };
+    assert!(
+        path(&street, &overrides)
+            .unwrap_err()
+            .contains("--positions: the simulated street")
+    );
+}

@@ -48,6 +48,7 @@ pub(crate) fn overrides(args: &GraphRunArgs, map: &Option<PathBuf>, record: &Opt
     Overrides {
         name: args.name.clone(),
         input: args.input.clone(),
+        positions: args.positions.clone(),
         pace: args.pace,
         delivery: args.delivery.map(|d| match d {
             DeliveryArg::Lossless => Delivery::Lossless,

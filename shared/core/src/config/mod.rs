@@ -8,6 +8,7 @@ mod error;
 mod frames;
 mod members;
 mod noise;
+mod positions;
 mod reader;
 mod schema;
 mod sink;
@@ -19,18 +20,20 @@ mod test_catalog;
 mod words;
 
 pub use error::{ConfigError, ConfigErrors};
+pub use positions::parse_zone;
 pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
-    ALIGNS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR,
-    RAW_FORMATS, RULES, SEQUENCE_METHODS, SIMILARITIES, SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS,
-    Words, parse_origin, parse_pace,
+    ALIGNS, CROPS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR,
+    POSITION_COMPATS, POSITION_KINDS, RAW_FORMATS, RULES, SEQUENCE_METHODS, SIMILARITIES, SLICE_MODES,
+    STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
 };
 
 use crate::plan::{
-    Catalog, Delivery, Extractor, FrameSource, FrameTicks, Fuse, LiveSource, Member, OnBadEvent, OnOtherSize,
-    Pace, Plan, Reconstruction, Sensor, Slicing, Source, Street, StreetPass,
+    Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, LiveSource, Member, OnBadEvent,
+    OnOtherSize, Pace, Plan, Positions, Reconstruction, Sensor, Slicing, Source, Street, StreetPass,
 };
+use positions::PositionsSection;
 use reader::Table;
 use schema::RuntimeSection;
 use sink::Sink;
@@ -43,6 +46,7 @@ pub struct Config {
     name: String,
     sensor: Option<Sensor>,
     source: SourceSection,
+    positions: PositionsSection,
     slicing: Slicing,
     reconstructions: Vec<Reconstruction>,
     extractors: Vec<Extractor>,
@@ -57,6 +61,7 @@ pub struct Config {
 struct Places {
     sensor: ConfigError,
     source: ConfigError,
+    crop: ConfigError,
 }
 
 /// What the command line says instead of the configuration.
@@ -66,6 +71,8 @@ pub struct Overrides {
     pub name: Option<String>,
     /// `--input`: the recording; of a street the pass.
     pub input: Option<PathBuf>,
+    /// `--positions`: the file of positions that belongs to the recording.
+    pub positions: Option<PathBuf>,
     /// `--pace`.
     pub pace: Option<Pace>,
     /// `--delivery`.
@@ -121,6 +128,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
     } else {
         path_at
     };
+    let positions = positions::positions(root.section("positions"), source_kind);
     let frames = source_kind.filter(|kind| *kind == SourceKind::Frames).map(|_| {
         // Where the section is bad no key of the slicing is refused that could be right.
         source
@@ -141,10 +149,12 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
     let fuse = schema::fuse(root.section("fuse"));
     let runtime = schema::runtime(root.section("runtime"));
     root.close();
+    let positions = positions?;
     Some(Config {
         name: name?,
         sensor: sensor?,
         source: source?,
+        positions: positions.clone(),
         slicing: slicing?,
         reconstructions: reconstructions.stages?,
         extractors: extractors.stages?,
@@ -154,6 +164,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
         places: Places {
             sensor: sink.error(&sensor_at, ""),
             source: sink.error(&source_at, ""),
+            crop: sink.error(&positions.crop_at, ""),
         },
     })
 }
@@ -214,6 +225,7 @@ impl Config {
             on_outside_sensor: written.on_outside_sensor.unwrap_or(on_bad),
             hot_pixels: written.hot_pixels.as_ref().map(|section| section.mask.clone()),
             filters: written.filters,
+            positions: self.positions(overrides),
             ..source
         })
     }
@@ -242,6 +254,33 @@ impl Config {
             wrong.push(("--pace", has_no_effect));
         }
         wrong
+    }
+
+    /// The file of positions, if there is one.
+    fn positions(&self, overrides: &Overrides) -> Option<Positions> {
+        let path = overrides.positions.as_ref().or(self.positions.path.as_ref())?;
+        Some(self.positions.of(path))
+    }
+
+    /// What is wrong with the file of positions beside these overrides.
+    fn wrong_positions(&self, overrides: &Overrides) -> Option<(&'static str, String)> {
+        let street = self.source.kind == SourceKind::Street;
+        match (&overrides.positions, &self.positions.path, &overrides.input) {
+            (Some(_), _, _) if street => Some((
+                "--positions",
+                "the simulated street knows where it is; leave it out".to_owned(),
+            )),
+            (None, Some(path), Some(input)) if self.source.path.as_ref().is_some_and(|own| own != input) => {
+                let own = path.display();
+                Some((
+                    "--input",
+                    format!(
+                        "{own} (positions.path) belongs to source.path; give the positions of this recording with --positions"
+                    ),
+                ))
+            }
+            _ => None,
+        }
     }
 
     /// The pass of the street that the overrides name, if they do.
@@ -309,6 +348,14 @@ impl Config {
         }
         let wrong = self.wrong_options(overrides).into_iter();
         errors.extend(wrong.map(|(key, message)| option(key, message)));
+        if let Some((key, message)) = self.wrong_positions(overrides) {
+            errors.push(option(key, message));
+        }
+        if self.positions.crop != Crop::None && self.positions(overrides).is_none() {
+            let message =
+                "has no effect without positions; write positions.path, or give them with --positions";
+            errors.push(in_file(&self.places.crop, message.to_owned()));
+        }
         let name = overrides.name.as_deref().unwrap_or(&self.name);
         if let Err(message) = schema::check_name(name, schema::MAX_RUN_NAME) {
             errors.push(option("--name", message));

@@ -2,8 +2,8 @@
 //! functions as the configuration.
 
 use crate::plan::{
-    Align, Delivery, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace, Rule, SequenceMethod,
-    Similarity, SliceMode, StackOrder, StreetPass, TimeUnit,
+    Align, Crop, Delivery, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace, PositionCompat,
+    PositionKind, Rule, SequenceMethod, Similarity, SliceMode, StackOrder, StreetPass, TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -83,6 +83,23 @@ pub const ON_OTHER_SIZE: Words<'static, OnOtherSize> =
 /// `source.frames.stack_order`.
 pub const STACK_ORDERS: Words<'static, StackOrder> =
     Words(&[("bgr", StackOrder::Bgr), ("rgb", StackOrder::Rgb)]);
+/// `positions.kind`.
+pub const POSITION_KINDS: Words<'static, PositionKind> = Words(&[
+    ("auto", PositionKind::Auto),
+    ("nmea", PositionKind::Nmea),
+    ("csv", PositionKind::Csv),
+    ("applanix", PositionKind::Applanix),
+]);
+/// `positions.compat`.
+pub const POSITION_COMPATS: Words<'static, PositionCompat> =
+    Words(&[("none", PositionCompat::None), ("paper", PositionCompat::Paper)]);
+/// `positions.crop`.
+pub const CROPS: Words<'static, Crop> = Words(&[
+    ("none", Crop::None),
+    ("track", Crop::Track),
+    ("first_loop", Crop::FirstLoop),
+    ("first_motion", Crop::FirstMotion),
+]);
 /// `fuse.similarity`.
 pub const SIMILARITIES: Words<'static, Similarity> = Words(&[
     ("l2", Similarity::L2),

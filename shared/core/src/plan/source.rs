@@ -1,6 +1,6 @@
 //! Where events come from.
 
-use super::{Delivery, FRAMES, Filters, FrameSource, HotPixels, Plan, Sensor};
+use super::{Delivery, FRAMES, Filters, FrameSource, HotPixels, Plan, Positions, Sensor};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -29,6 +29,8 @@ pub struct Source {
     pub street: Option<Street>,
     /// How frames are read, when the kind is `frames`.
     pub frames: Option<FrameSource>,
+    /// Where the camera was, when a file says it. It takes precedence over what the recording knows.
+    pub positions: Option<Positions>,
     /// How the stream is got at, when it is no recording and no street.
     pub live: Option<LiveSource>,
 }
@@ -60,6 +62,7 @@ impl Source {
             street: None,
             frames: None,
             live: None,
+            positions: None,
         }
     }
 
