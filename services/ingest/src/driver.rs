@@ -120,8 +120,14 @@ impl Ingest {
             Memory::All => None,
         };
         let mut first = Vec::new();
-        while next_screened(self.recording.as_mut(), &mut self.screen, &mut first)? {
-            let Some(event) = first.first() else { continue };
+        loop {
+            let more = next_screened(self.recording.as_mut(), &mut self.screen, &mut first)?;
+            let Some(event) = first.first() else {
+                if more {
+                    continue;
+                }
+                break;
+            };
             self.replay.slicer.anchor(event.t_ns);
             if ordered
                 && let Some(start) = self.replay.slicer.start_ns()
