@@ -135,6 +135,9 @@ pub enum StoreError {
         /// Ticks that are kept.
         ticks: u64,
     },
+    /// Right answers cannot be had.
+    #[error("ground truth: {0}")]
+    GroundTruth(String),
     /// Anything else that the system refused.
     #[error("{}: cannot {action}: {source}", .file.display())]
     Io {

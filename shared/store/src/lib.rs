@@ -24,6 +24,7 @@ mod commit;
 mod difference;
 mod error;
 mod files;
+mod ground_truth;
 mod layout;
 mod manifest;
 mod mapped;
@@ -44,6 +45,7 @@ mod tests;
 
 pub use difference::Difference;
 pub use error::StoreError;
+pub use ground_truth::{GroundTruth, Orientation, Recall};
 pub use layout::partial_path;
 pub use manifest::{FORMAT, Manifest, MemberEntry, NewMember, NewTraverse, VERSION};
 pub use npy::NpyHeader;
