@@ -67,7 +67,7 @@ fn real_evt3_in_packets_is_what_it_is_in_its_own_file() {
 fn evt3_goes_on_after_a_gap() {
     let event = [0x8001, 0x6000, 0x0003, 0x2004];
     let messages = [
-        packet(8, 100, 0, "evt3", &words(&event)),
+        packet(8, 100, u64::MAX, "evt3", &words(&event)),
         packet(9, 100, 0, "evt3", &words(&[0x2005])),
         // One packet is missing, in which the time has gone on by 2 s.
         packet(

@@ -19,7 +19,7 @@ const EVENTS_PER_WORD: usize = 12;
 pub(super) enum Codec {
     /// Events each with its whole time.
     Array(Layout),
-    /// EVT 3.0: times of the sensor. The time base says nothing.
+    /// EVT 3.0: times of the sensor. The time base may be anything.
     Evt3(Box<Evt3Decoder>),
     /// {u32 ns since the time base, u16 x, u15 y, u1 on}.
     Mono { base_ns: u64 },
@@ -99,8 +99,9 @@ impl Codec {
     /// `since_ns` before.
     pub(super) fn begin(&mut self, packet: &Packet<'_>, lost: Option<u64>) -> Result<(), String> {
         let base = packet.time_base_ns;
+        let counts = !matches!(self, Self::Evt3(_) | Self::Trigger { .. });
         // Room for all the wraps that a packet can have.
-        if base > MAX_TIME_NS / 2 {
+        if counts && base > MAX_TIME_NS / 2 {
             return Err(format!(
                 "has the time base {base} ns, beyond the year 2116; the recording is damaged"
             ));

@@ -2,9 +2,10 @@
 //!
 //! One topic is read: the one that is asked for, else the first that holds events. Its messages are of type
 //! `dvs_msgs/EventArray` or `prophesee_event_msgs/EventArray`, whose events have ROS time; or of type
-//! `event_camera_msgs/EventPacket`. There, events in the encoding `evt3` have the time of the sensor, as the driver
-//! does not know how it relates to ROS time (it stamps packets with the time of their arrival); events in the others
-//! have ROS time, which is a base in each packet plus the time since.
+//! `event_camera_msgs/EventPacket`, in one of several encodings. With `evt3`, events have the time of the sensor, as
+//! nothing says how it relates to ROS time: the driver stamps packets with the time of their arrival, and their time
+//! base is undefined. With the others, events have the time base of their packet plus the time since; that is ROS time
+//! with `libcaer` and `libcaer_cmp`.
 
 mod bag;
 mod bag2;
