@@ -6,6 +6,7 @@
 mod bad_input;
 mod convert;
 mod corridor;
+mod dataset;
 mod deaths;
 mod demo;
 mod frames;

@@ -47,6 +47,9 @@ pub(crate) enum Command {
     /// Recordings: look at them, turn them into frames
     #[command(subcommand)]
     Events(EventsCommand),
+    /// Published datasets: what is there of one, what is missing, configurations for its pairs
+    #[command(subcommand)]
+    Dataset(DatasetCommand),
     /// Members of a running instance: list them, switch them, weigh them
     #[command(subcommand)]
     Member(MemberCommand),
@@ -368,6 +371,52 @@ pub(crate) struct SequenceMatchArgs {
     pub(crate) method: SequenceMethodArg,
     /// The array to write, queries × references, f64
     #[arg(short, long, value_name = "T.npy")]
+    pub(crate) out: PathBuf,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum DatasetCommand {
+    /// Show the presets: their sequences, files and pairs
+    List(DatasetListArgs),
+    /// Say what is there, what is missing and where it belongs; exit code 1 when no pair can be run
+    Check(DatasetCheckArgs),
+    /// Write the configurations of a reference and a query
+    Config(DatasetConfigArgs),
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct DatasetListArgs {
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct DatasetCheckArgs {
+    /// The dataset's folder
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+    /// brisbane, nsavp, or a file like those in config/datasets; those of which a file is there when left out
+    #[arg(short, long, value_name = "PRESET")]
+    pub(crate) preset: Option<String>,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct DatasetConfigArgs {
+    /// The dataset's folder
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+    /// Two sequences: that of the map and that which is recognised, such as sunset1:sunset2
+    #[arg(long, value_name = "REFERENCE:QUERY")]
+    pub(crate) pair: String,
+    /// brisbane, nsavp, or a file like those in config/datasets; the one of which a file is there when left out
+    #[arg(short, long, value_name = "PRESET")]
+    pub(crate) preset: Option<String>,
+    /// Where to write reference.toml and query.toml (a folder, made if need be)
+    #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
 }
 

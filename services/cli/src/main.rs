@@ -10,6 +10,7 @@ mod failure;
 mod frames_npy;
 mod matches;
 mod output;
+mod preset;
 mod progress;
 
 use clap::Parser;

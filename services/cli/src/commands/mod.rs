@@ -1,5 +1,6 @@
 //! One file per command.
 
+mod dataset;
 mod demo;
 mod doctor;
 mod events;
@@ -26,6 +27,7 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::Run(args) => run::run(&args),
         Command::Map(command) => map::map(command),
         Command::Events(command) => events::events(command),
+        Command::Dataset(command) => dataset::dataset(&command),
         Command::Member(command) => member::member(command),
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),
