@@ -135,6 +135,13 @@ fn the_configurations_of_a_pair_run() {
     let config = |pair: &str| bench.run(&["dataset", "config", "data", "--pair", pair, "-o", "run"]);
     let said = config("sunset1:sunset2");
     assert_eq!(said.code(), 0, "{}", said.stderr);
+    // A map that is masked would not fit a query that is not.
+    assert!(
+        said.stderr
+            .contains("no hot pixels are masked, as sunset2 has no list"),
+        "{}",
+        said.stderr
+    );
     let mut commands = said.stdout.lines();
     for (line, made) in [("evpr map build", "run/map"), ("evpr run", "run/matches.jsonl")] {
         let command = commands.next().unwrap();
@@ -145,19 +152,38 @@ fn the_configurations_of_a_pair_run() {
         assert!(bench.path(made).exists(), "{made}");
     }
     // Positions begin at 1587452582.35 s; what comes before is cropped, and 4 whole seconds remain of 5.
-    let reference = fs::read_to_string(bench.path("run/reference.toml")).unwrap();
-    assert!(reference.contains("first_at = 1587452582.35\n"), "{reference}");
-    assert!(
-        reference.contains(&format!("{SUNSET1}_hot_pixels.txt")),
-        "{reference}"
-    );
-    let query = fs::read_to_string(bench.path("run/query.toml")).unwrap();
-    assert!(
-        query.contains("first_at = 1587540271.65\n") && !query.contains("hot_pixels"),
-        "{query}"
-    );
+    let made = |name: &str| fs::read_to_string(bench.path(name)).unwrap();
+    for (name, first_at) in [
+        ("run/reference.toml", "first_at = 1587452582.35\n"),
+        ("run/query.toml", "first_at = 1587540271.65\n"),
+    ] {
+        assert!(made(name).contains(first_at), "{}", made(name));
+        assert!(!made(name).contains("hot_pixels"), "{}", made(name));
+    }
     let info = bench.run(&["map", "info", "run/map"]);
     assert!(info.stdout.contains("4 with a position"), "{}", info.stdout);
+
+    // With both lists both are masked.
+    bench.file(&format!("data/{SUNSET2}_hot_pixels.txt"), "7,8\n");
+    let said = bench.run(&[
+        "dataset",
+        "config",
+        "data",
+        "--pair",
+        "sunset1:sunset2",
+        "-o",
+        "masked",
+    ]);
+    assert_eq!((said.code(), said.stderr.as_str()), (0, ""));
+    for (name, bag) in [("reference", SUNSET1), ("query", SUNSET2)] {
+        let name = format!("masked/{name}.toml");
+        assert!(
+            made(&name).contains(&format!("data/{bag}_hot_pixels.txt\"\n")),
+            "{}",
+            made(&name)
+        );
+        assert_eq!(bench.run(&["validate", "-c", &name]).code(), 0);
+    }
 
     // Nothing is overwritten, and what is not there is not configured.
     let again = config("sunset1:sunset2");

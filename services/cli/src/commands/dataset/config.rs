@@ -1,6 +1,6 @@
 //! `evpr dataset config`: what a sequence needs to be run.
 
-use super::files::{Drive, File, State};
+use super::files::{Drive, File};
 use crate::args::DatasetConfigArgs;
 use crate::catalog::CATALOG;
 use crate::failure::Failure;
@@ -59,14 +59,31 @@ pub(super) fn config(args: &DatasetConfigArgs) -> Result<ExitCode, Failure> {
         ))
     })?;
     let folder = std::path::absolute(&args.folder)?;
+    let sequences = [
+        ("reference.toml", ready(preset, reference, &folder)?),
+        ("query.toml", ready(preset, query, &folder)?),
+    ];
+    // A map fits only a run that is masked as it is.
+    let unmasked: Vec<&str> = sequences
+        .iter()
+        .filter(|(_, (_, drive))| drive.file(Role::HotPixels).is_none())
+        .map(|(_, (sequence, _))| sequence.name.as_str())
+        .collect();
     let mut texts = Vec::new();
-    for (name, file) in [(reference, "reference.toml"), (query, "query.toml")] {
-        texts.push((file, of_sequence(preset, name, &folder)?));
+    for (file, (sequence, drive)) in &sequences {
+        let text = text(preset, sequence, &drive.files, unmasked.is_empty());
+        texts.push((file, text.map_err(Failure::new)?));
     }
     std::fs::create_dir_all(&args.out)
         .map_err(|e| Failure::new(format!("{}: cannot be made: {e}", args.out.display())))?;
     for (file, text) in texts {
         create(&args.out.join(file), &text)?;
+    }
+    if unmasked.len() == 1 {
+        eprintln!(
+            "no hot pixels are masked, as {} has no list of them; `evpr events hot-pixels` makes one",
+            unmasked[0]
+        );
     }
     let out = shell(&args.out);
     say!("evpr map build -c {out}/reference.toml -o {out}/map");
@@ -74,8 +91,8 @@ pub(super) fn config(args: &DatasetConfigArgs) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The configuration of a sequence all of whose files are there.
-fn of_sequence(preset: &Preset, name: &str, folder: &Path) -> Result<String, Failure> {
+/// A sequence with its files, of which none that is needed is missing.
+fn ready<'a>(preset: &'a Preset, name: &str, folder: &Path) -> Result<(&'a Sequence, Drive), Failure> {
     let sequence = preset
         .sequence(name)
         .ok_or_else(|| Failure::usage(format!("there is no sequence {name}")))?;
@@ -86,7 +103,7 @@ fn of_sequence(preset: &Preset, name: &str, folder: &Path) -> Result<String, Fai
             drive.lacks.join(" and ")
         )));
     }
-    text(preset, sequence, &drive.files).map_err(Failure::new)
+    Ok((sequence, drive))
 }
 
 /// Writes a file that must not exist yet.
@@ -107,18 +124,18 @@ fn create(path: &Path, text: &str) -> Result<(), Failure> {
 /// # Errors
 /// What the configuration refuses of the preset, in one line.
 pub(super) fn parse(preset: &Preset, sequence: &Sequence, files: &[File]) -> Result<Source, String> {
-    let text = text(preset, sequence, files)?;
+    let text = text(preset, sequence, files, false)?;
     let config = config::parse(&text, &sequence.name, &CATALOG)
         .map_err(|e| e.to_string().lines().next().unwrap_or_default().to_owned())?;
     let source = config.source(&Overrides::default());
     source.ok_or_else(|| format!("sequence {}: names no recording", sequence.name))
 }
 
-/// The configuration of a sequence with these files.
-fn text(preset: &Preset, sequence: &Sequence, files: &[File]) -> Result<String, String> {
+/// The configuration of a sequence with these files, and with its hot pixels masked if they shall be.
+fn text(preset: &Preset, sequence: &Sequence, files: &[File], masked: bool) -> Result<String, String> {
     let path = |role: Role| {
         let file = files.iter().find(|file| file.role == role);
-        file.filter(|f| role != Role::HotPixels || !matches!(f.state, State::Missing))
+        file.filter(|_| masked || role != Role::HotPixels)
             .map(|file| {
                 let path = file.path.to_str().ok_or_else(|| {
                     format!(

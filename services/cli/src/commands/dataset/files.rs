@@ -75,6 +75,12 @@ impl Drive {
         drive
     }
 
+    /// The file of this role, if it is good.
+    pub(super) fn file(&self, role: Role) -> Option<&File> {
+        let good = |file: &&File| file.role == role && matches!(file.state, State::Good(_));
+        self.files.iter().find(good)
+    }
+
     pub(super) fn ready(&self) -> bool {
         self.lacks.is_empty()
     }
