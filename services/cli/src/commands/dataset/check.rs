@@ -59,8 +59,10 @@ fn report<'a>(preset: &'a Preset, folder: &Path) -> Report<'a> {
         .map(|sequence| Drive::look(preset, sequence, folder))
         .collect();
     let pair = |[reference, query]: &'a [String; 2]| {
-        let of_pair = |drive: &&Drive| drive.name == *reference || drive.name == *query;
-        let lacks = sequences.iter().filter(of_pair).filter(|drive| !drive.ready());
+        let drive = |name: &String| sequences.iter().find(|drive| drive.name == *name);
+        let mut drives: Vec<&Drive> = [drive(reference), drive(query)].into_iter().flatten().collect();
+        drives.dedup_by_key(|drive| &drive.name);
+        let lacks = drives.into_iter().filter(|drive| !drive.ready());
         Pair {
             reference,
             query,
@@ -89,7 +91,11 @@ fn print(report: &Report<'_>, folder: &Path) {
     }
     let missing = |file: &File| matches!(file.state, State::Missing);
     if report.sequences.iter().flat_map(|d| &d.files).any(missing) {
-        say!("\nmissing files are at {}", report.download);
+        say!(
+            "\nmissing files are at {}; they belong in {}",
+            report.download,
+            folder.display()
+        );
     }
     say!("\npairs (reference:query)");
     let names = report.pairs.iter().map(|p| p.reference.len() + p.query.len() + 1);
@@ -133,7 +139,7 @@ fn told(file: &File, folder: &Path) -> String {
                 Role::HotPixels => "missing, not needed",
                 Role::Recording | Role::Positions => "missing",
             };
-            format!("{needed}: {}{or}", file.path.display())
+            format!("{needed}: {}{or}", short(&file.path))
         }
     }
 }

@@ -90,6 +90,7 @@ impl Drive {
 fn lack(file: &File) -> Option<String> {
     match (&file.state, file.role) {
         (State::Missing, Role::Recording | Role::Positions) => Some(format!("no {}", file.role.name())),
+        (State::Wrong(_), Role::Recording) => Some("a wrong recording".to_owned()),
         (State::Wrong(_), role) => Some(format!("wrong {}", role.name())),
         _ => None,
     }
