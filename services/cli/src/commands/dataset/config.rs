@@ -16,7 +16,7 @@ use std::process::ExitCode;
 
 /// What is run, to be changed at will.
 const METHODS: &str = r#"
-# Windows, methods and members as in the paper's ensembles; change them alike in both files.
+# How places are compared: change it alike in the files of reference and query.
 [slicing]
 tick = "1s"
 windows = ["100ms", "250ms", "500ms", "1s"]
@@ -85,9 +85,14 @@ pub(super) fn config(args: &DatasetConfigArgs) -> Result<ExitCode, Failure> {
             unmasked[0]
         );
     }
-    let out = shell(&args.out);
-    say!("evpr map build -c {out}/reference.toml -o {out}/map");
-    say!("evpr run -c {out}/query.toml -m {out}/map -o {out}/matches.jsonl");
+    let out = |name: &str| shell(&args.out.join(name));
+    say!("evpr map build -c {} -o {}", out("reference.toml"), out("map"));
+    say!(
+        "evpr run -c {} -m {} -o {}",
+        out("query.toml"),
+        out("map"),
+        out("matches.jsonl")
+    );
     Ok(ExitCode::SUCCESS)
 }
 
