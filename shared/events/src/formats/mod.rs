@@ -250,10 +250,11 @@ enum Place<'a> {
 /// `name` is what the recording itself is called: its ending may count.
 fn open_known(mut input: Input, name: &Path, place: Place<'_>, options: &ReadOptions) -> Opened {
     let path = input.path().to_owned();
-    let len = if matches!(place, Place::Pipe) {
-        LIVE_HEAD_BYTES
-    } else {
-        HEAD_BYTES
+    let len = match place {
+        // What is known already needs no look: a live stream may send little at first.
+        _ if options.encoding.is_some() => 1,
+        Place::Pipe => LIVE_HEAD_BYTES,
+        _ => HEAD_BYTES,
     };
     let head = input.peek(len)?;
     let head = &head[..head.len().min(HEAD_BYTES)];
