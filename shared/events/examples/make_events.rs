@@ -38,9 +38,7 @@ fn run(arguments: &[String]) -> Result<u64, String> {
         height: height as usize,
         width: width as usize,
     };
-    let options = WriteOptions {
-        sensor: Some(sensor),
-    };
+    let options = WriteOptions { sensor: Some(sensor) };
     let mut writer = writers::create(Path::new(out), &options).map_err(|e| e.to_string())?;
     let (total, mut state, mut batch) = (rate * seconds, 1u64, Vec::new());
     for event in 0..total {
