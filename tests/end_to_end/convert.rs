@@ -231,3 +231,53 @@ fn frames_become_pictures() {
     assert!(said.code() == 1 && said.errors().len() == 1, "{}", said.stderr);
     assert_eq!(files(&bench), ["a.gif", "folder", "in.txt"]);
 }
+
+#[test]
+fn what_is_read_is_never_written_over() {
+    let bench = Bench::new();
+    recording(&bench);
+    let before = fs::read(bench.path("in.txt")).unwrap();
+    fs::write(bench.path("other.csv.partial"), &before).unwrap();
+    let refused = |arguments: &[&str], read: &str| {
+        let said = bench.run(arguments);
+        assert_eq!((said.code(), said.errors().len()), (1, 1), "{arguments:?}");
+        assert_eq!(fs::read(bench.path(read)).unwrap(), before, "{arguments:?}");
+    };
+    let frames = ["-m", "event_count", "-w", "100ms", "-t", "1s", "-o", "in.txt"];
+    refused(
+        &[&["events", "reconstruct", "in.txt"][..], &frames].concat(),
+        "in.txt",
+    );
+    refused(&["events", "hot-pixels", "in.txt", "-o", "in.txt"], "in.txt");
+    refused(
+        &["events", "hot-pixels", "in.txt", "-o", "in.txt", "--force"],
+        "in.txt",
+    );
+    refused(
+        &["events", "convert", "other.csv.partial", "other.csv"],
+        "other.csv.partial",
+    );
+    let config = bench.ensemble_config();
+    let query = bench.recording("query.txt", 4, 2);
+    let map = bench.map(&config);
+    let before = fs::read(&query).unwrap();
+    let run = |out: &str| {
+        let options = [
+            "run",
+            "-c",
+            text(&config),
+            "-i",
+            text(&query),
+            "-m",
+            text(&map),
+            "-o",
+            out,
+        ];
+        let said = bench.run(&options);
+        assert_eq!(said.code(), 1, "{out}");
+        assert!(said.errors()[0].contains("which is read"), "{out}");
+    };
+    run(text(&query));
+    run(text(&map.join("traverse.json")));
+    assert_eq!(fs::read(&query).unwrap(), before);
+}

@@ -206,6 +206,9 @@ pub(crate) struct HotPixelsArgs {
     /// Where to write the list, a line x,y for each; stdout when left out
     #[arg(short, long, value_name = "FILE")]
     pub(crate) out: Option<PathBuf>,
+    /// Replace the list if it exists
+    #[arg(long)]
+    pub(crate) force: bool,
     /// A hot pixel has more than so many times the events of the third busiest of the 24 pixels around it [default: 3]
     #[arg(long, value_name = "X", value_parser = factor)]
     pub(crate) factor: Option<f64>,
@@ -283,7 +286,7 @@ pub(crate) struct RenderArgs {
     #[arg(long, value_name = "HxW")]
     pub(crate) sensor: Option<String>,
     /// At most so many pictures
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) frames: Option<u64>,
     /// Replace OUT if it is a file that exists
     #[arg(long)]

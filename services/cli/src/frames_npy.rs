@@ -2,23 +2,30 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// NumPy's format 1.0: a multiple of 64, with room for four axes.
 const HEADER_BYTES: usize = 128;
 
-/// Writes frames in order of ticks; ticks without a frame become black.
+/// Writes frames in order of ticks; ticks without a frame become black. Until it is finished the file is called
+/// `<name>.partial`; dropped before, it leaves nothing behind.
 pub(crate) struct FramesWriter {
     file: BufWriter<File>,
     height: usize,
     width: usize,
     channels: usize,
     ticks: u64,
+    /// Its name, and the one it has until it is finished.
+    path: PathBuf,
+    partial: PathBuf,
 }
 
 impl FramesWriter {
     pub(crate) fn create(path: &Path, height: usize, width: usize, channels: usize) -> io::Result<Self> {
-        let mut file = BufWriter::new(File::create(path)?);
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(".partial");
+        let partial = PathBuf::from(partial);
+        let mut file = BufWriter::new(File::create(&partial)?);
         file.write_all(&[0; HEADER_BYTES])?;
         Ok(Self {
             file,
@@ -26,6 +33,8 @@ impl FramesWriter {
             width,
             channels,
             ticks: 0,
+            path: path.to_owned(),
+            partial,
         })
     }
 
@@ -70,7 +79,15 @@ impl FramesWriter {
         let bytes = HEADER_BYTES as u64 + ticks * self.frame_bytes() as u64;
         self.file.seek(SeekFrom::Start(0))?;
         self.file.write_all(&header)?;
-        let file = self.file.into_inner().map_err(io::IntoInnerError::into_error)?;
-        file.set_len(bytes)
+        self.file.flush()?;
+        self.file.get_ref().set_len(bytes)?;
+        std::fs::rename(&self.partial, &self.path)
+    }
+}
+
+impl Drop for FramesWriter {
+    fn drop(&mut self) {
+        // Under its real name it is no longer there.
+        let _ = std::fs::remove_file(&self.partial);
     }
 }

@@ -1,7 +1,9 @@
 //! Results on stdout. A reader that hangs up early (`evpr map info … | head -1`) is no failure.
 
+use crate::failure::Failure;
 use std::fmt::Arguments;
 use std::io::Write;
+use std::path::Path;
 
 /// Writes one line to stdout.
 pub(crate) fn line(text: Arguments<'_>) {
@@ -15,3 +17,23 @@ macro_rules! say {
     ($($text:tt)*) => { $crate::output::line(format_args!($($text)*)) };
 }
 pub(crate) use say;
+
+/// Refuses to write over what the same command reads. `out` need not exist.
+pub(crate) fn refuse_input(out: &Path, inputs: &[&Path]) -> Result<(), Failure> {
+    let Ok(target) = out.canonicalize() else {
+        return Ok(());
+    };
+    let read = |input: &&&Path| {
+        input
+            .canonicalize()
+            .is_ok_and(|input| input == target || (input.is_dir() && target.starts_with(&input)))
+    };
+    match inputs.iter().find(read) {
+        Some(input) => Err(Failure::new(format!(
+            "{} is (or lies in) {}, which is read; write to another file",
+            out.display(),
+            input.display()
+        ))),
+        None => Ok(()),
+    }
+}

@@ -13,6 +13,8 @@ use std::path::PathBuf;
 pub(crate) struct Span {
     known_ns: Option<Range<u64>>,
     cropped: bool,
+    /// Whether the recording has begun; later it may also go on behind these times, as after a restart.
+    begun: bool,
     /// Whether the recording has come to these times.
     met: bool,
     path: PathBuf,
@@ -27,6 +29,7 @@ impl Span {
             // The last position is one of them.
             known_ns: span.map(|(first, last)| sensor_time(first)..sensor_time(last).saturating_add(1)),
             cropped: positions.is_some_and(|p| p.crop != Crop::None),
+            begun: false,
             met: false,
             path: plan.source.path.clone(),
         }
@@ -43,12 +46,13 @@ impl Span {
         let (Some(first), Some(last)) = (events.first(), events.last()) else {
             return Ok(false);
         };
-        if !self.met && first.t_ns >= known.end {
+        if !self.begun && first.t_ns >= known.end {
             let (end, first) = (seconds(known.end - 1), seconds(first.t_ns));
             return Err(self.apart(format!(
                 "its positions end at {end}, before its events at {first}"
             )));
         }
+        self.begun = true;
         self.met |= last.t_ns >= known.start;
         if !self.cropped {
             return Ok(false);
@@ -76,5 +80,35 @@ impl Span {
     fn apart(&self, what: String) -> SourceError {
         let what = format!("{what}; correct positions.offset or positions.first_at");
         SourceError::malformed(&self.path, what)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn span() -> Span {
+        Span {
+            known_ns: Some(10..20),
+            ..Span::default()
+        }
+    }
+
+    fn at(t_ns: u64) -> Vec<RawEvent> {
+        vec![RawEvent {
+            t_ns,
+            ..RawEvent::default()
+        }]
+    }
+
+    #[test]
+    fn only_the_recordings_beginning_may_not_lie_behind_its_positions() {
+        assert!(span().apply(&mut at(20)).is_err());
+        // Taken up again behind them, after a look at the beginning.
+        let mut taken_up = span();
+        assert!(!taken_up.apply(&mut at(1)).unwrap());
+        assert!(taken_up.end().is_err());
+        assert!(!taken_up.apply(&mut at(25)).unwrap());
+        assert!(taken_up.end().is_ok());
     }
 }

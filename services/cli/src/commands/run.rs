@@ -4,6 +4,7 @@ use crate::args::{DeliveryArg, GraphRunArgs, RunArgs};
 use crate::catalog;
 use crate::failure::Failure;
 use crate::matches::MatchWriter;
+use crate::output::refuse_input;
 use crate::progress;
 use crate::{LOG_VARIABLE, QUIET_LOG};
 use evpr_core::Plan;
@@ -35,6 +36,11 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
     if let Some(map) = &plan.map {
         // The fuser checks again; here a wrong map is refused before anything is started.
         evpr_store::Traverse::open(map)?.check_against(&plan)?;
+    }
+    if let Some(out) = &args.out {
+        let positions = plan.source.positions.as_ref().map(|p| p.path.as_path());
+        let read = [Some(plan.source.path.as_path()), positions, plan.map.as_deref()];
+        refuse_input(out, &read.into_iter().flatten().collect::<Vec<_>>())?;
     }
     let writer = match &plan.map {
         Some(_) => Some(MatchWriter::open(args.out.as_deref()).map_err(Failure::new)?),

@@ -5,6 +5,7 @@ use crate::args::ConvertArgs;
 use crate::commands::parse_sensor;
 use crate::commands::run::EXIT_INTERRUPTED;
 use crate::failure::Failure;
+use crate::output::refuse_input;
 use crate::progress;
 use evpr_core::plan::Sensor;
 use evpr_core::time::format_duration;
@@ -66,6 +67,10 @@ struct Tally {
 pub(super) fn convert(args: &ConvertArgs) -> Result<ExitCode, Failure> {
     let resolution_ns = writers::resolution_ns(&args.output)?;
     check_target(&args.output, args.force)?;
+    let mut partial = args.output.as_os_str().to_owned();
+    partial.push(".partial");
+    // Under this name the new recording grows.
+    refuse_input(Path::new(&partial), &[&args.input])?;
     let given = args.sensor.as_deref().map(parse_sensor).transpose()?;
     let options = ReadOptions {
         sensor: given,

@@ -39,7 +39,7 @@ impl Crop {
         let bottom = usize::from(self.y) + usize::from(self.height);
         if right > sensor.width || bottom > sensor.height {
             return Err(Failure::usage(format!(
-                "--crop reaches to column {right} and row {bottom}, beyond the sensor of {sensor} (height x width)"
+                "--crop reaches to column {right} and row {bottom}, beyond the sensor of {sensor}"
             )));
         }
         Ok(())

@@ -1,8 +1,9 @@
 //! `evpr events hot-pixels`.
 
+use super::convert::check_target;
 use crate::args::HotPixelsArgs;
 use crate::failure::Failure;
-use crate::output::say;
+use crate::output::{refuse_input, say};
 use crate::progress;
 use evpr_core::plan::{HotPixelRule, Sensor};
 use evpr_events::{HotPixelEstimate, ReadOptions, estimate_hot_pixels};
@@ -11,6 +12,10 @@ use std::process::ExitCode;
 
 /// Tells the hot pixels of a recording: as the list that `source.hot_pixels.file` takes, or as JSON.
 pub(crate) fn hot_pixels(args: &HotPixelsArgs) -> Result<ExitCode, Failure> {
+    if let Some(out) = &args.out {
+        check_target(out, args.force)?;
+        refuse_input(out, &[&args.input])?;
+    }
     let default = HotPixelRule::default();
     let rule = HotPixelRule {
         factor: args.factor.unwrap_or(default.factor),

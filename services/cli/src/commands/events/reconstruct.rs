@@ -4,6 +4,7 @@ use super::chain::{Chain, offline_plan};
 use crate::args::ReconstructArgs;
 use crate::failure::Failure;
 use crate::frames_npy::FramesWriter;
+use crate::output::refuse_input;
 use evpr_core::message::{FrameHeader, Frames};
 use evpr_core::plan::Sensor;
 use evpr_core::stage::{Outlet, StageError};
@@ -36,6 +37,7 @@ impl Outlet<Frames> for WriteFrames<'_> {
 }
 
 pub(super) fn reconstruct(args: &ReconstructArgs) -> Result<ExitCode, Failure> {
+    refuse_input(&args.out, &[&args.input])?;
     let plan = offline_plan(args)?;
     let Sensor { height, width } = plan.sensor;
     let writer = FramesWriter::create(&args.out, height, width, plan.reconstructions[0].channels)
