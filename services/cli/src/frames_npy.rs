@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 /// NumPy's format 1.0: a multiple of 64, with room for four axes.
 const HEADER_BYTES: usize = 128;
 
-/// Writes frames in order of ticks; ticks without a frame become black. Until it is finished the file is called
+/// Writes frames in order of ticks; ticks without a frame become black. Until it is finished a file is called
 /// `<name>.partial`; dropped before, it leaves nothing behind.
 pub(crate) struct FramesWriter {
     file: BufWriter<File>,
@@ -23,7 +23,10 @@ pub(crate) struct FramesWriter {
 impl FramesWriter {
     pub(crate) fn create(path: &Path, height: usize, width: usize, channels: usize) -> io::Result<Self> {
         let mut partial = path.as_os_str().to_owned();
-        partial.push(".partial");
+        // A device or a pipe is written to as it is.
+        if !path.exists() || path.is_file() {
+            partial.push(".partial");
+        }
         let partial = PathBuf::from(partial);
         let mut file = BufWriter::new(File::create(&partial)?);
         file.write_all(&[0; HEADER_BYTES])?;
@@ -81,13 +84,18 @@ impl FramesWriter {
         self.file.write_all(&header)?;
         self.file.flush()?;
         self.file.get_ref().set_len(bytes)?;
+        if self.partial == self.path {
+            return Ok(());
+        }
         std::fs::rename(&self.partial, &self.path)
     }
 }
 
 impl Drop for FramesWriter {
     fn drop(&mut self) {
-        // Under its real name it is no longer there.
-        let _ = std::fs::remove_file(&self.partial);
+        // Once it has its real name it is no longer there.
+        if self.partial != self.path {
+            let _ = std::fs::remove_file(&self.partial);
+        }
     }
 }

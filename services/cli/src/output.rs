@@ -26,7 +26,8 @@ pub(crate) fn refuse_input(out: &Path, inputs: &[&Path]) -> Result<(), Failure> 
     let read = |input: &&&Path| {
         input
             .canonicalize()
-            .is_ok_and(|input| input == target || (input.is_dir() && target.starts_with(&input)))
+            // A folder itself is refused by whoever opens it as a file.
+            .is_ok_and(|input| target.starts_with(&input) && (input == target) != input.is_dir())
     };
     match inputs.iter().find(read) {
         Some(input) => Err(Failure::new(format!(

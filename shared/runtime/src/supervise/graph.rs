@@ -471,6 +471,13 @@ impl Supervisor {
             if header.tick() < self.next_answer {
                 continue; // answered by a fuser that has died since
             }
+            if header.tick() > self.next_answer && self.answers > 0 {
+                warn!(
+                    from = self.next_answer,
+                    to = header.tick() - 1,
+                    "answers are missing: they were not made, or did not arrive"
+                );
+            }
             self.next_answer = header.tick() + 1;
             self.answers += 1;
             let count = (header.candidates as usize).min(message.payload().len());

@@ -20,6 +20,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Refuses to write over something, unless that is wanted.
 pub(super) fn check_target(out: &Path, force: bool) -> Result<(), Failure> {
+    if out.exists() && !out.is_file() && !out.is_dir() {
+        return Err(Failure::new(format!(
+            "{} is no regular file; name a file to write",
+            out.display()
+        )));
+    }
     if out.exists() && !force {
         return Err(Failure::new(format!(
             "{} exists already; give --force to replace it",
@@ -91,8 +97,9 @@ pub(super) fn convert(args: &ConvertArgs) -> Result<ExitCode, Failure> {
         sensor: written.or(sensor),
     };
     let mask = args.mask.as_deref().map(read_mask).transpose()?;
-    let mut writer = writers::create(&args.output, &options)?;
+    // From before the file begins: whoever sees it may interrupt.
     let stop = interrupted()?;
+    let mut writer = writers::create(&args.output, &options)?;
     let mask = mask.unwrap_or_default();
     let Some(tally) = copy(
         args,
