@@ -44,7 +44,7 @@ pub(crate) enum Command {
     /// Reference maps: build, look at, check, repair
     #[command(subcommand)]
     Map(MapCommand),
-    /// Recordings: look at them, turn them into frames
+    /// Recordings: look at them, convert them, turn them into frames and pictures
     #[command(subcommand)]
     Events(EventsCommand),
     /// Published datasets: what is there of one, what is missing, configurations for its pairs

@@ -328,22 +328,8 @@ impl Replay {
             stopped,
             "recording done"
         );
-        if screened != ScreenTally::default() {
-            tracing::warn!(
-                outside = screened.outside,
-                backward_dropped = screened.backward_dropped,
-                backward_clamped = screened.backward_clamped,
-                "events left out or moved"
-            );
-        }
-        if noise != NoiseTally::default() {
-            tracing::info!(
-                hot_pixels = noise.hot_pixels,
-                refractory = noise.refractory,
-                background_activity = noise.background_activity,
-                "events left out as noise"
-            );
-        }
+        screened.log();
+        noise.log();
         Ok(IngestSummary {
             end_tick,
             screened,

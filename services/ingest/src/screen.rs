@@ -22,6 +22,18 @@ impl ScreenTally {
     pub fn dropped(&self) -> u64 {
         self.outside + self.backward_dropped
     }
+
+    /// Says in the log what was left out or changed, if anything was.
+    pub(crate) fn log(&self) {
+        if *self != Self::default() {
+            tracing::warn!(
+                outside = self.outside,
+                backward_dropped = self.backward_dropped,
+                backward_clamped = self.backward_clamped,
+                "events left out or moved"
+            );
+        }
+    }
 }
 
 /// What passes it lies inside the sensor, in a row up to [`Event::Y_MAX`], and times do not go back.

@@ -502,22 +502,8 @@ impl Driver {
             delay_p99_ms = live.delay_p99_ns as f64 / 1e6,
             "live stream done"
         );
-        if screened != ScreenTally::default() {
-            tracing::warn!(
-                outside = screened.outside,
-                backward_dropped = screened.backward_dropped,
-                backward_clamped = screened.backward_clamped,
-                "events left out or moved"
-            );
-        }
-        if noise != NoiseTally::default() {
-            tracing::info!(
-                hot_pixels = noise.hot_pixels,
-                refractory = noise.refractory,
-                background_activity = noise.background_activity,
-                "events left out as noise"
-            );
-        }
+        screened.log();
+        noise.log();
         Ok(LiveSummary {
             end_tick,
             screened,

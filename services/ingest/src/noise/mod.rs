@@ -33,6 +33,18 @@ impl NoiseTally {
     pub fn dropped(&self) -> u64 {
         self.hot_pixels + self.refractory + self.background_activity
     }
+
+    /// Says in the log what was left out, if anything was.
+    pub(crate) fn log(&self) {
+        if *self != Self::default() {
+            tracing::info!(
+                hot_pixels = self.hot_pixels,
+                refractory = self.refractory,
+                background_activity = self.background_activity,
+                "events left out as noise"
+            );
+        }
+    }
 }
 
 /// How much of what came before decides what becomes of an event.
