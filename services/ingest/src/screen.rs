@@ -15,12 +15,14 @@ pub struct ScreenTally {
     pub backward_dropped: u64,
     /// Events whose time went back and was taken as the latest so far.
     pub backward_clamped: u64,
+    /// Events of a live stream left out because their times do not go with those around them.
+    pub damaged_times: u64,
 }
 
 impl ScreenTally {
     /// Events left out.
     pub fn dropped(&self) -> u64 {
-        self.outside + self.backward_dropped
+        self.outside + self.backward_dropped + self.damaged_times
     }
 
     /// Says in the log what was left out or changed, if anything was.
@@ -30,6 +32,7 @@ impl ScreenTally {
                 outside = self.outside,
                 backward_dropped = self.backward_dropped,
                 backward_clamped = self.backward_clamped,
+                damaged_times = self.damaged_times,
                 "events left out or moved"
             );
         }
@@ -78,6 +81,11 @@ impl Screen {
     /// What it has left out or changed.
     pub fn tally(&self) -> ScreenTally {
         self.tally
+    }
+
+    /// So many events were left out before they came here.
+    pub(crate) fn left_out_damaged(&mut self, events: u64) {
+        self.tally.damaged_times += events;
     }
 
     /// The recording went to another place: the next event is number `index`, and times begin anew.
@@ -248,7 +256,7 @@ mod tests {
             ScreenTally {
                 outside: 1,
                 backward_dropped: 2,
-                backward_clamped: 0
+                ..ScreenTally::default()
             }
         );
         let mut s = screen(OnBadEvent::Clamp, OnBadEvent::Drop);
@@ -262,8 +270,8 @@ mod tests {
             s.tally(),
             ScreenTally {
                 outside: 1,
-                backward_dropped: 0,
-                backward_clamped: 2
+                backward_clamped: 2,
+                ..ScreenTally::default()
             }
         );
     }

@@ -34,12 +34,14 @@ use evpr_core::stage::{IngestPort, StageError};
 use evpr_events::{rough_seconds, seconds};
 use queue::{Item, ItemReceiver, Patience};
 use std::time::Duration;
-use timeline::{Jump, Timeline};
+use timeline::{Step, Timeline};
 
 /// Events leave at the latest after so long, ns, though their window is not over.
 const FLUSH_NS: u64 = 10_000_000;
 /// The driver wakes at least this often to say that it is there, ns.
 const HEARTBEAT_NS: u64 = 200_000_000;
+/// A stretch without events in a stream that is ahead of the host's clock is told from this length on, ns.
+const TOLD_QUIET_NS: u64 = 1_000_000_000;
 /// How often the drift is computed anew, ns.
 const DRIFT_EVERY_NS: u64 = 5_000_000_000;
 /// Least time between two warnings of one kind, ns.
@@ -193,7 +195,7 @@ struct Driver {
     lost_in_queue: u64,
     last_unreachable: String,
     drift_at_ns: u64,
-    warned: [Option<u64>; 3],
+    warned: [Option<u64>; 4],
 }
 
 /// What is warned of now and then.
@@ -202,6 +204,7 @@ enum Warning {
     Overload = 0,
     Late = 1,
     Jump = 2,
+    Damaged = 3,
 }
 
 impl Driver {
@@ -223,7 +226,7 @@ impl Driver {
             lost_in_queue: 0,
             last_unreachable: String::new(),
             drift_at_ns: 0,
-            warned: [None; 3],
+            warned: [None; 4],
         })
     }
 
@@ -352,25 +355,56 @@ impl Driver {
         mut events: Vec<RawEvent>,
         port: &mut dyn IngestPort,
     ) -> Result<(), StageError> {
-        if let Some(jump) = self.timeline.admit(arrival_ns, &mut events) {
-            let after = events.split_off(jump.at);
+        let steps = self.timeline.admit(arrival_ns, &mut events);
+        self.left_out_damaged(port);
+        let mut done = 0;
+        for step in steps {
+            let after = events.split_off(step.at - done);
+            done = step.at;
             self.enter(events, port)?;
-            self.jumped(jump, port);
-            return self.enter(after, port);
+            self.stepped(step, port);
+            events = after;
         }
         self.enter(events, port)
     }
 
-    fn jumped(&mut self, jump: Jump, port: &mut dyn IngestPort) {
-        self.live.jumps += 1;
-        self.slicer.lose(Reason::Disconnected);
-        if self.may_warn(Warning::Jump, port) {
+    fn stepped(&mut self, step: Step, port: &mut dyn IngestPort) {
+        if step.anchored {
+            self.live.jumps += 1;
+            self.slicer.lose(Reason::Disconnected);
+            if self.may_warn(Warning::Jump, port) {
+                tracing::warn!(
+                    jumps = self.live.jumps,
+                    "{}: the camera's time jumped to {}; it is taken to be {}, by the host's clock, and the ticks in \
+                     between are missing",
+                    self.name,
+                    seconds(step.sensor_ns),
+                    seconds(step.at_ns)
+                );
+            }
+        } else if step.ahead_ns >= TOLD_QUIET_NS && self.may_warn(Warning::Jump, port) {
             tracing::warn!(
-                jumps = self.live.jumps,
-                "{}: the camera's time jumped to {}; it is taken to be {}, by the host's clock",
+                "{}: the camera's time went ahead by {} to {}, faster than the host's clock; the ticks in between have no \
+                 events",
                 self.name,
-                seconds(jump.sensor_ns),
-                seconds(jump.anchored_ns)
+                rough_seconds(step.ahead_ns),
+                seconds(step.at_ns)
+            );
+        }
+    }
+
+    /// Counts what the timeline has left out.
+    fn left_out_damaged(&mut self, port: &mut dyn IngestPort) {
+        let damaged = self.timeline.take_damaged();
+        if damaged == 0 {
+            return;
+        }
+        self.screen.left_out_damaged(damaged);
+        if self.may_warn(Warning::Damaged, port) {
+            tracing::warn!(
+                damaged_times = self.screen.tally().damaged_times,
+                "{}: events whose times do not go with those around them are left out; the stream is damaged",
+                self.name
             );
         }
     }
@@ -470,6 +504,8 @@ impl Driver {
         port: &mut dyn IngestPort,
     ) -> Result<LiveSummary, StageError> {
         let ended = self.slicer.finish(port);
+        self.timeline.give_up();
+        self.left_out_damaged(port);
         self.live.connected = 0;
         self.measure();
         self.drift_at_ns = 0;

@@ -218,10 +218,11 @@ fn a_camera_that_starts_anew_goes_on_by_the_hosts_clock() {
         events(HOST0, 0, &[5_000, 5_099, 5_120]),
         (HOST0 + 5_150 * MS, Item::Disconnected("gone".to_owned())),
         (HOST0 + 5_470 * MS, Item::Connected("text".to_owned())),
-        // Its time begins at 0 again, at the host's 5480 ms.
-        events(HOST0 + 5_480 * MS, 0, &[0]),
-        events(HOST0 + 5_480 * MS, 0, &[40, 130]),
     ];
+    // Its time begins at 0 again, at the host's 5480 ms.
+    let anew = (0..=10).map(|ms| events(HOST0 + 5_480 * MS, 0, &[ms]));
+    let items = items.into_iter().chain(anew);
+    let items = items.chain([events(HOST0 + 5_480 * MS, 0, &[40, 130])]).collect();
     let (port, summary) = run(items, 5_615);
     assert_eq!(closed(&port), [0, 1, 2, 3, 4, 5]);
     // Tick 0 began at 5000; so 5480 + 40 is in tick 5, and 5480 + 130 in tick 6.
@@ -241,13 +242,43 @@ fn time_that_jumps_within_a_connection_costs_the_tick_and_not_the_grid() {
                 events: vec![event(7), event(8)],
             },
         ),
-        events(HOST0 + 5_160 * MS, 0, &[50, 150]),
     ];
+    let anew = (1..=11).map(|ms| events(HOST0 + 5_160 * MS, 0, &[ms]));
+    let items = items.into_iter().chain(anew);
+    let items = items.chain([events(HOST0 + 5_160 * MS, 0, &[50, 150])]).collect();
     let (port, summary) = run(items, 5_311);
     assert_eq!(summary.live.jumps, 1);
     assert_eq!(ticks(&port)[&1].1, Some(Reason::Disconnected));
     assert_eq!(ticks(&port)[&2], (1, None));
     assert_eq!(summary.sliced.missed_ticks, 1);
+}
+
+#[test]
+fn damaged_times_cost_their_events_and_no_tick() {
+    let mut items: Vec<_> = (0..60).map(|i| events(HOST0, 0, &[i * 10, i * 10 + 5])).collect();
+    // Ahead by half a tick, by many ticks and by an hour, back, and beyond all times.
+    for (at, ms) in [
+        (5, 105),
+        (20, 30_000),
+        (30, 3_600_000),
+        (40, 0),
+        (50, u64::MAX / MS),
+    ] {
+        let Item::Events { events, .. } = &mut items[at].1 else {
+            unreachable!()
+        };
+        events.insert(1, event(ms * MS));
+    }
+    let (port, summary) = run(items, 600);
+    let whole = (0..6).map(|tick| (tick, (20, None)));
+    assert_eq!(ticks(&port), whole.collect());
+    assert_eq!(closed(&port), [0, 1, 2, 3, 4]);
+    // By less than a second back is the screen's.
+    assert_eq!(
+        (summary.screened.damaged_times, summary.screened.backward_dropped),
+        (4, 1)
+    );
+    assert_eq!((summary.live.jumps, summary.live.missed_ticks), (0, 0));
 }
 
 #[test]
