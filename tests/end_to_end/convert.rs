@@ -118,6 +118,7 @@ fn what_cannot_be_converted_is_said_in_one_line() {
     let bench = Bench::new();
     recording(&bench);
     bench.file("mask.txt", "1,2\n3;4\n");
+    bench.file("beyond.txt", "1,2\n9,7\n10,3\n");
     bench.file("there.csv", "older");
     let before = files(&bench);
     for (args, code, wants) in [
@@ -128,9 +129,14 @@ fn what_cannot_be_converted_is_said_in_one_line() {
         (&["in.txt", "out.csv", "--start", "1h"], 1, "nothing is written"),
         (&["in.txt", "out.csv", "--mask", "mask.txt"], 1, "line 2"),
         (
+            &["in.txt", "out.csv", "--mask", "beyond.txt"],
+            1,
+            "beyond.txt: line 3: pixel 10,3 lies outside the sensor of 8×10",
+        ),
+        (
             &["in.txt", "out.csv", "--mask", "none"],
             1,
-            "none: cannot be read",
+            "none: there is no such file",
         ),
         (
             &["in.txt", "out.csv", "--crop", "5,5,6,1"],
@@ -173,6 +179,20 @@ fn ctrl_c_leaves_nothing_half_written() {
         &["convert", "in.npy", "out.npz"][..],
         &[
             "render", "in.npy", "--sensor", "8x8", "-w", "1ms", "-o", "out.gif",
+        ],
+        &[
+            "reconstruct",
+            "in.npy",
+            "--sensor",
+            "8x8",
+            "-m",
+            "event_count",
+            "-w",
+            "1ms",
+            "-t",
+            "1ms",
+            "-o",
+            "out.npy",
         ],
     ] {
         let mut child = bench
@@ -280,4 +300,166 @@ fn what_is_read_is_never_written_over() {
     run(text(&query));
     run(text(&map.join("traverse.json")));
     assert_eq!(fs::read(&query).unwrap(), before);
+}
+
+/// The recording with a line more in its middle, behind event 499 at 1.748500001 s.
+fn with_line(bench: &Bench, name: &str, line: &str) {
+    recording(bench);
+    let whole = fs::read_to_string(bench.path("in.txt")).unwrap();
+    let mut lines: Vec<&str> = whole.lines().collect();
+    lines.insert(501, line);
+    bench.file(name, &(lines.join("\n") + "\n"));
+}
+
+const RECONSTRUCT: [&str; 6] = ["-m", "event_count", "-w", "100ms", "-t", "100ms"];
+
+#[test]
+fn what_was_whole_before_the_damage_is_kept() {
+    let bench = Bench::new();
+    // Damaged; outside the sensor; earlier than the one before.
+    for (line, why) in [
+        ("1.75 x 3 1", "line 502"),
+        ("1.75 10 3 1", "event 500 (from 0)"),
+        ("1.2 1 3 1", "event 500 (from 0)"),
+    ] {
+        with_line(&bench, "in.txt", line);
+        let breaks = |args: &[&str], kept: &str| {
+            let said = bench.run(&[&["events"], args].concat());
+            assert_eq!((said.code(), said.errors().len()), (1, 1), "{}", said.stderr);
+            assert!(
+                said.errors()[0].contains(why) && said.errors()[0].ends_with(kept),
+                "{}",
+                said.stderr
+            );
+        };
+        breaks(
+            &["convert", "in.txt", "out.csv", "--force"],
+            "the 500 events before that are kept in out.csv",
+        );
+        assert_eq!(lines(&bench, "out.csv").len(), 500);
+        breaks(
+            &["convert", "in.txt", "out.raw", "--force", "--start", "300ms"],
+            "the 300 events before that are kept in out.raw",
+        );
+        // Ticks of 100 ms: seven are whole before event 500.
+        breaks(
+            &[&["reconstruct", "in.txt", "-o", "out.npy"][..], &RECONSTRUCT].concat(),
+            "the 7 frames before that are kept in out.npy",
+        );
+        assert_eq!(fs::metadata(bench.path("out.npy")).unwrap().len(), 128 + 7 * 240);
+        breaks(
+            &["render", "in.txt", "-w", "100ms", "--force", "-o", "out.gif"],
+            "the 7 pictures before that are kept in out.gif",
+        );
+        assert!(fs::read(bench.path("out.gif")).unwrap().ends_with(b";"));
+        // Nothing before it: nothing is written.
+        let none = [
+            "reconstruct",
+            "in.txt",
+            "-m",
+            "event_count",
+            "-w",
+            "1s",
+            "-t",
+            "1s",
+        ];
+        breaks(
+            &[&none[..], &["-o", "none.npy"]].concat(),
+            "nothing before that could be written",
+        );
+        assert_eq!(
+            files(&bench),
+            ["in.txt", "out.csv", "out.gif", "out.npy", "out.raw"]
+        );
+        if why == "event 500 (from 0)" && line.starts_with("1.2") {
+            continue; // by its time, this one belongs to what comes before
+        }
+        // What comes behind all that is wanted may be as it likes.
+        let before = ["convert", "in.txt", "out.npy", "--force", "--duration", "700ms"];
+        let said = bench.run(&[&["events"], &before[..]].concat());
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+    }
+}
+
+#[test]
+fn events_that_cannot_be_right_are_left_out_where_that_is_asked_for() {
+    let bench = Bench::new();
+    for (line, option, what, tally, events) in [
+        ("1.75 10 3 1", "--on-outside-sensor", "drop", "outside=1", 1000),
+        (
+            "1.2 1 3 1",
+            "--on-backward-time",
+            "drop",
+            "backward_dropped=1",
+            1000,
+        ),
+        (
+            "1.2 1 3 1",
+            "--on-backward-time",
+            "clamp",
+            "backward_clamped=1",
+            1001,
+        ),
+    ] {
+        with_line(&bench, "in.txt", line);
+        let said = bench.run(&["events", "convert", "in.txt", "out.csv", "--force", option, what]);
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        assert!(said.stderr.contains(tally), "{}", said.stderr);
+        let wants = format!("{events} events written to out.csv");
+        assert!(said.stderr.contains(&wants), "{}", said.stderr);
+        let written = lines(&bench, "out.csv");
+        assert_eq!(written.len(), events);
+        assert!(written.is_sorted_by_key(|line| line.split_once(',').unwrap().0.to_owned()));
+        let frames = [
+            &["events", "reconstruct", "in.txt", "-o", "out.npy"][..],
+            &RECONSTRUCT,
+        ]
+        .concat();
+        let said = bench.run(&[&frames[..], &[option, what]].concat());
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        assert!(said.stderr.contains(tally), "{}", said.stderr);
+    }
+    let said = bench.run(&[
+        "events",
+        "convert",
+        "in.txt",
+        "a.csv",
+        "--on-outside-sensor",
+        "clamp",
+    ]);
+    assert_eq!((said.code(), said.errors().len()), (2, 1), "{}", said.stderr);
+}
+
+#[test]
+fn a_sensor_that_the_recording_contradicts_is_refused_everywhere() {
+    let bench = Bench::new();
+    recording(&bench);
+    let before = files(&bench);
+    for command in [
+        &["convert", "in.txt", "out.csv"][..],
+        &["hot-pixels", "in.txt", "-o", "out.txt"],
+        &["render", "in.txt", "-o", "out.gif"],
+        &[&["reconstruct", "in.txt", "-o", "out.npy"][..], &RECONSTRUCT].concat(),
+    ] {
+        let said = bench.run(&[&["events"], command, &["--sensor", "10x8"]].concat());
+        assert_eq!((said.code(), said.errors().len()), (1, 1), "{}", said.stderr);
+        for size in ["8×10", "10×8"] {
+            assert!(said.errors()[0].contains(size), "{}", said.stderr);
+        }
+        assert_eq!(files(&bench), before);
+        let said = bench.run(&[&["events"], command, &["--sensor", "8x10"]].concat());
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        fs::remove_file(bench.path(command[command.iter().position(|a| a.starts_with("out.")).unwrap()]))
+            .unwrap();
+    }
+}
+
+#[test]
+fn pictures_are_not_written_under_a_name_that_promises_something_else() {
+    let bench = Bench::new();
+    recording(&bench);
+    let said = bench.run(&["events", "render", "in.txt", "-o", "street.mp4"]);
+    assert_eq!((said.code(), said.errors().len()), (2, 1), "{}", said.stderr);
+    assert!(said.errors()[0].contains(".gif"), "{}", said.stderr);
+    assert_eq!(files(&bench), ["in.txt"]);
 }

@@ -2,8 +2,8 @@
 
 use crate::commands::Crop;
 use clap::{Parser, Subcommand, ValueEnum};
-use evpr_core::config::{parse_origin, parse_pace};
-use evpr_core::plan::{Origin, Pace, TimeUnit};
+use evpr_core::config::{ON_BACKWARD_TIME, ON_OUTSIDE_SENSOR, parse_origin, parse_pace};
+use evpr_core::plan::{OnBadEvent, Origin, Pace, TimeUnit};
 use evpr_core::time::parse_duration_ns;
 use std::path::PathBuf;
 
@@ -228,6 +228,18 @@ fn factor(text: &str) -> Result<f64, String> {
     factor.ok_or_else(|| "not a factor; give a number above 1".to_owned())
 }
 
+/// What to do with events that cannot be right.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub(crate) struct BadEventArgs {
+    /// An event earlier than its forerunner: "error" (stop there), "drop" or "clamp" (to the latest time) [default:
+    /// error]
+    #[arg(long, value_name = "WHAT", value_parser = |text: &str| ON_BACKWARD_TIME.parse(text))]
+    pub(crate) on_backward_time: Option<OnBadEvent>,
+    /// An event outside the sensor: "error" (stop there) or "drop" [default: error]
+    #[arg(long, value_name = "WHAT", value_parser = |text: &str| ON_OUTSIDE_SENSOR.parse(text))]
+    pub(crate) on_outside_sensor: Option<OnBadEvent>,
+}
+
 #[derive(Debug, Parser)]
 pub(crate) struct ConvertArgs {
     /// The recording
@@ -257,6 +269,8 @@ pub(crate) struct ConvertArgs {
     /// The stream, topic or member of an archive, where there are several
     #[arg(long, value_name = "NAME")]
     pub(crate) stream: Option<String>,
+    #[command(flatten)]
+    pub(crate) bad: BadEventArgs,
     /// Replace OUT if it exists
     #[arg(long)]
     pub(crate) force: bool,
@@ -285,6 +299,8 @@ pub(crate) struct RenderArgs {
     /// Sensor size, such as 260x346 (height x width), where the recording does not tell
     #[arg(long, value_name = "HxW")]
     pub(crate) sensor: Option<String>,
+    #[command(flatten)]
+    pub(crate) bad: BadEventArgs,
     /// At most so many pictures
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) frames: Option<u64>,
@@ -347,6 +363,8 @@ pub(crate) struct ReconstructArgs {
     /// Sensor size, such as 260x346 (height x width), where the recording does not tell
     #[arg(long, value_name = "HxW")]
     pub(crate) sensor: Option<String>,
+    #[command(flatten)]
+    pub(crate) bad: BadEventArgs,
     /// The array to write: (ticks, height, width) or (ticks, height, width, 3), u8; empty windows are all 0
     #[arg(short, long, value_name = "F.npy")]
     pub(crate) out: PathBuf,

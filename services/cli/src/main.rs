@@ -4,6 +4,8 @@
 
 mod args;
 mod catalog;
+mod chain;
+mod colors;
 mod commands;
 mod demo;
 mod failure;

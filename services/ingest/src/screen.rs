@@ -4,7 +4,7 @@ use crate::span::Span;
 use crate::{MAX_TIME_NS, RawEvent, SourceError};
 use evpr_core::message::Event;
 use evpr_core::plan::{OnBadEvent, Plan, Sensor};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// What the screen has seen so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -26,7 +26,7 @@ impl ScreenTally {
     }
 
     /// Says in the log what was left out or changed, if anything was.
-    pub(crate) fn log(&self) {
+    pub fn log(&self) {
         if *self != Self::default() {
             tracing::warn!(
                 outside = self.outside,
@@ -56,11 +56,31 @@ pub struct Screen {
 impl Screen {
     /// A screen with the policies and the sensor of the plan.
     pub fn new(plan: &Plan) -> Self {
+        let source = &plan.source;
+        Self::of_recording(
+            &source.path,
+            Some(plan.sensor),
+            source.on_backward_time,
+            source.on_outside_sensor,
+        )
+    }
+
+    /// A screen for a recording that is read without a plan. Where its sensor is not known, what no event can have is
+    /// outside.
+    pub fn of_recording(
+        path: &Path,
+        sensor: Option<Sensor>,
+        on_backward_time: OnBadEvent,
+        on_outside_sensor: OnBadEvent,
+    ) -> Self {
         Self {
-            path: plan.source.path.clone(),
-            sensor: plan.sensor,
-            on_backward_time: plan.source.on_backward_time,
-            on_outside_sensor: plan.source.on_outside_sensor,
+            path: path.to_owned(),
+            sensor: sensor.unwrap_or(Sensor {
+                height: usize::from(Event::Y_MAX) + 1,
+                width: usize::from(u16::MAX),
+            }),
+            on_backward_time,
+            on_outside_sensor,
             latest_ns: 0,
             index: 0,
             tally: ScreenTally::default(),
@@ -89,7 +109,7 @@ impl Screen {
     }
 
     /// The recording went to another place: the next event is number `index`, and times begin anew.
-    pub(crate) fn restart(&mut self, index: u64) {
+    pub fn restart(&mut self, index: u64) {
         (self.index, self.latest_ns) = (index, 0);
     }
 
@@ -149,7 +169,7 @@ impl Screen {
         if u32::from(event.x) >= width || u32::from(event.y) >= height {
             if self.on_outside_sensor == OnBadEvent::Error {
                 let what = format!(
-                    "lies outside the sensor of {}; correct [sensor], or leave such events out with source.on_outside_sensor = \"drop\"",
+                    "lies outside the sensor of {}; correct its size, or leave such events out with source.on_outside_sensor = \"drop\" (events: --on-outside-sensor drop)",
                     self.sensor
                 );
                 return Err(self.refuse(event, what));
@@ -164,7 +184,7 @@ impl Screen {
             match self.on_backward_time {
                 OnBadEvent::Error => {
                     let what = format!(
-                        "goes back in time: the one before it is at {}; leave such events out or move them with source.on_backward_time = \"drop\" or \"clamp\"",
+                        "goes back in time: the one before it is at {}; leave such events out or move them with source.on_backward_time = \"drop\" or \"clamp\" (events: --on-backward-time)",
                         evpr_events::seconds(self.latest_ns)
                     );
                     return Err(self.refuse(event, what));
@@ -222,7 +242,8 @@ mod tests {
         assert_eq!(
             e,
             "events.h5: event 2 (from 0) at 0.000000007 s (x 6, y 0) lies outside the sensor of 4×6 (height × width); \
-             correct [sensor], or leave such events out with source.on_outside_sensor = \"drop\""
+             correct its size, or leave such events out with source.on_outside_sensor = \"drop\" \
+             (events: --on-outside-sensor drop)"
         );
         let e = screen(OnBadEvent::Error, OnBadEvent::Drop)
             .apply(&mut vec![

@@ -2,7 +2,7 @@
 //! ([`HotPixelRule`] states the rule).
 
 use crate::grid::Grid;
-use crate::{BATCH_EVENTS, RawEvent, ReadOptions, SourceError, SourceInfo, open};
+use crate::{BATCH_EVENTS, RawEvent, ReadOptions, SourceError, SourceInfo, agreed_sensor, open};
 use evpr_core::plan::{HotPixelRule, Pixel, Sensor};
 use std::path::Path;
 
@@ -140,11 +140,12 @@ pub struct HotPixelEstimate {
     pub hot_events: u64,
 }
 
-/// Reads a recording through and tells its hot pixels. A sensor among the options takes precedence over what the
-/// recording says. `progress` is told the permille read.
+/// Reads a recording through and tells its hot pixels. A sensor among the options must be the one that
+/// the recording says, if it says it. `progress` is told the permille read.
 ///
 /// # Errors
-/// When the recording cannot be opened or read to its end, or its coordinates are beyond any sensor.
+/// When the recording cannot be opened or read to its end, is of another sensor than the options say, or its
+/// coordinates are beyond any.
 pub fn estimate_hot_pixels(
     path: &Path,
     options: &ReadOptions,
@@ -152,7 +153,7 @@ pub fn estimate_hot_pixels(
     progress: &mut dyn FnMut(u64),
 ) -> Result<HotPixelEstimate, SourceError> {
     let mut recording = open(path, options)?;
-    let sensor = options.sensor.or(recording.sensor());
+    let sensor = agreed_sensor(path, recording.sensor(), options.sensor)?;
     let mut counts = PixelCounts::new(sensor);
     let (mut events, mut earliest, mut latest) = (0u64, u64::MAX, 0u64);
     let mut batch = Vec::with_capacity(BATCH_EVENTS);

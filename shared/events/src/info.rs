@@ -4,7 +4,7 @@ use crate::grid::Grid;
 use crate::rates::LongestGaps;
 use crate::{
     BATCH_EVENTS, Gap, HotPixel, PixelCounts, RateOverTime, RawEvent, ReadOptions, Skipped, SourceError,
-    SourceInfo, open,
+    SourceInfo, agreed_sensor, open,
 };
 use evpr_core::message::Event;
 use evpr_core::plan::{HotPixelRule, Sensor};
@@ -189,18 +189,18 @@ impl Totals {
     }
 }
 
-/// Reads a recording through and counts. A sensor among the options takes precedence over what the recording says.
-/// `progress` is told the permille read, after each batch and at the end.
+/// Reads a recording through and counts. A sensor among the options must be the one that the recording says,
+/// if it says it. `progress` is told the permille read, after each batch and at the end.
 ///
 /// # Errors
-/// When the recording cannot be opened or read to its end.
+/// When the recording cannot be opened or read to its end, or is of another sensor than the options say.
 pub fn info(
     path: &Path,
     options: &ReadOptions,
     progress: &mut dyn FnMut(u64),
 ) -> Result<RecordingInfo, SourceError> {
     let mut recording = open(path, options)?;
-    let sensor = options.sensor.or(recording.sensor());
+    let sensor = agreed_sensor(path, recording.sensor(), options.sensor)?;
     let mut totals = Totals::new(sensor);
     let mut batch = Vec::with_capacity(BATCH_EVENTS);
     while recording.next_batch(&mut batch)? {

@@ -26,4 +26,4 @@ pub use info::{HotPixelsFound, RecordingInfo, info};
 pub use input::Input;
 pub use pixel_list::{PixelListErrors, read_pixel_list};
 pub use rates::{Gap, RateOverTime};
-pub use recording::{Recording, Skipped, SourceInfo, Trajectory};
+pub use recording::{Recording, Skipped, SourceInfo, Trajectory, agreed_sensor};

@@ -2,7 +2,7 @@
 
 use crate::{RawEvent, SourceError};
 use evpr_core::plan::Sensor;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A recording, or a live stream, read from its start to its end.
 pub trait Recording: Send {
@@ -55,6 +55,24 @@ pub trait Trajectory: Send {
     /// Metres east (or x) and north (or y) at sensor time `t_ns`; `None` where that is not known. Asked once per tick,
     /// for its start, in the order of time.
     fn position(&mut self, t_ns: u64) -> Option<[f64; 2]>;
+}
+
+/// The size of a recording's sensor: what it says itself, or else what was given.
+///
+/// # Errors
+/// When the two are not the same; one line that names both.
+pub fn agreed_sensor(
+    path: &Path,
+    said: Option<Sensor>,
+    given: Option<Sensor>,
+) -> Result<Option<Sensor>, SourceError> {
+    match said.zip(given).filter(|(said, given)| said != given) {
+        Some((said, given)) => {
+            let what = format!("says that its sensor is {said}, but {given} is given; leave that out");
+            Err(SourceError::malformed(path, what))
+        }
+        None => Ok(said.or(given)),
+    }
 }
 
 /// What a recording is.

@@ -1,15 +1,8 @@
-//! Parts of the sensor: a rectangle to keep, and pixels to leave out.
+//! A part of the sensor: a rectangle to keep.
 
 use crate::failure::Failure;
 use evpr_core::plan::Sensor;
 use evpr_events::RawEvent;
-use std::collections::HashSet;
-use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
-use std::path::Path;
-
-/// Largest file of pixels that is read, bytes.
-const MAX_MASK_BYTES: u64 = 16 << 20;
 
 /// A rectangle of the sensor; its corner becomes (0, 0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,36 +43,6 @@ impl Crop {
         let (x, y) = (event.x.checked_sub(self.x)?, event.y.checked_sub(self.y)?);
         (x < self.width && y < self.height).then_some(RawEvent { x, y, ..*event })
     }
-}
-
-/// The pixels of a text file: a line `x,y` for each (column and row, from 0); `#` begins a comment.
-pub(super) fn read_mask(path: &Path) -> Result<HashSet<(u16, u16)>, Failure> {
-    let failed = |e| Failure::new(format!("{}: cannot be read: {e}", path.display()));
-    let file = File::open(path).map_err(failed)?;
-    if file.metadata().map_err(failed)?.len() > MAX_MASK_BYTES {
-        return Err(Failure::new(format!(
-            "{}: is larger than 16 MiB; a mask is a line \"x,y\" per pixel",
-            path.display()
-        )));
-    }
-    let mut pixels = HashSet::new();
-    for (number, line) in (1..).zip(BufReader::new(file.take(MAX_MASK_BYTES)).lines()) {
-        let line = line.map_err(failed)?;
-        let text = line.split('#').next().unwrap_or_default().trim();
-        if text.is_empty() {
-            continue;
-        }
-        let pixel = text
-            .split_once(',')
-            .and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
-        pixels.insert(pixel.ok_or_else(|| {
-            Failure::new(format!(
-                "{}: line {number}: is not a pixel \"x,y\" (column and row, from 0)",
-                path.display()
-            ))
-        })?);
-    }
-    Ok(pixels)
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! `evpr events hot-pixels`.
 
-use super::convert::check_target;
+use super::check_target;
 use crate::args::HotPixelsArgs;
 use crate::failure::Failure;
 use crate::output::{refuse_input, say};

@@ -1,32 +1,12 @@
 //! Frames as pictures: an animated GIF, or a folder of PNG files.
 
+use crate::colors::{color, pixels};
 use evpr_core::message::ChannelOrder;
 use gif::{Encoder, Frame, Repeat};
 use std::borrow::Cow;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-
-/// Colours of brighter and darker, as in the demo's pictures.
-const ON: [u8; 3] = [230, 159, 0];
-const OFF: [u8; 3] = [86, 180, 233];
-
-/// A pixel in red, green and blue.
-fn color(order: ChannelOrder, values: [u8; 3]) -> [u8; 3] {
-    let mixed = |on: u8, off: u8| {
-        let mix = |a: u8, z: u8| {
-            ((u32::from(a) * u32::from(on) + u32::from(z) * u32::from(off)) / 255).min(255) as u8
-        };
-        [mix(ON[0], OFF[0]), mix(ON[1], OFF[1]), mix(ON[2], OFF[2])]
-    };
-    let [a, b, c] = values;
-    match order {
-        ChannelOrder::Grey => [a; 3],
-        ChannelOrder::BlueGreenRed => [c, b, a],
-        ChannelOrder::OffOnZero => mixed(b, a),
-        ChannelOrder::OnOffZero => mixed(a, b),
-    }
-}
 
 /// Where a pixel stands in the palette of its order: 256 greys, 16 × 16 levels of the two polarities, or 8 × 8 × 4.
 fn index(order: ChannelOrder, values: [u8; 3]) -> u8 {
@@ -47,15 +27,6 @@ fn palette(order: ChannelOrder) -> Vec<u8> {
         _ => [(i >> 4) * 17, (i & 15) * 17, 0],
     };
     (0..=255).flat_map(|i| color(order, entry(i))).collect()
-}
-
-/// The pixels of a frame with their channels; missing ones are 0.
-fn pixels(order: ChannelOrder, frame: &[u8]) -> impl Iterator<Item = [u8; 3]> {
-    let channels = order.channels().max(1);
-    frame.chunks_exact(channels).map(|pixel| {
-        let value = |i: usize| pixel.get(i).copied().unwrap_or(0);
-        [value(0), value(1), value(2)]
-    })
 }
 
 /// Where the pictures go. Until they are all there they stand under `<name>.partial`.

@@ -1,23 +1,28 @@
 //! `evpr events reconstruct`.
 
-use super::chain::{Chain, offline_plan};
+use super::plan::offline_plan;
+use super::{interrupted, kept};
 use crate::args::ReconstructArgs;
+use crate::chain;
+use crate::commands::run::EXIT_INTERRUPTED;
 use crate::failure::Failure;
 use crate::frames_npy::FramesWriter;
 use crate::output::refuse_input;
+use crate::progress;
 use evpr_core::message::{FrameHeader, Frames};
 use evpr_core::plan::Sensor;
 use evpr_core::stage::{Outlet, StageError};
-use std::path::Path;
+use std::io;
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 
-struct WriteFrames<'a> {
+struct WriteFrames {
     writer: FramesWriter,
-    path: &'a Path,
     frame: Vec<u8>,
+    failed: Option<io::Error>,
 }
 
-impl Outlet<Frames> for WriteFrames<'_> {
+impl Outlet<Frames> for WriteFrames {
     fn emit(
         &mut self,
         header: FrameHeader,
@@ -30,9 +35,10 @@ impl Outlet<Frames> for WriteFrames<'_> {
         self.frame.clear();
         self.frame.resize(len, 0);
         fill(&mut self.frame);
-        self.writer
-            .write(header.tick, &self.frame)
-            .map_err(|e| StageError::Fatal(format!("cannot write {}: {e}", self.path.display())))
+        self.writer.write(header.tick, &self.frame).map_err(|e| {
+            self.failed.get_or_insert(e);
+            StageError::Stopped
+        })
     }
 }
 
@@ -40,26 +46,31 @@ pub(super) fn reconstruct(args: &ReconstructArgs) -> Result<ExitCode, Failure> {
     refuse_input(&args.out, &[&args.input])?;
     let plan = offline_plan(args)?;
     let Sensor { height, width } = plan.sensor;
-    let writer = FramesWriter::create(&args.out, height, width, plan.reconstructions[0].channels)
-        .map_err(|e| Failure::new(format!("cannot write {}: {e}", args.out.display())))?;
-    let out = WriteFrames {
+    let failed = |e| Failure::new(format!("cannot write {}: {e}", args.out.display()));
+    // From before the file begins: whoever sees it may interrupt.
+    let stop = interrupted()?;
+    let writer =
+        FramesWriter::create(&args.out, height, width, plan.reconstructions[0].channels).map_err(failed)?;
+    let mut out = WriteFrames {
         writer,
-        path: &args.out,
         frame: Vec::new(),
+        failed: None,
     };
-    let mut chain = Chain::new(&plan, out, "reconstructing")?;
-    let stop = evpr_runtime::Stop::new();
-    let ingest = evpr_ingest::Ingest::new(&plan, 0, 1, stop.signal().clone())?;
-    let outcome = ingest.run(&mut chain);
-    chain.bar.finish_and_clear();
-    // A recording that fails in its middle has an end too: the array then holds the ticks before.
-    let ticks = chain.end.unwrap_or(0);
-    chain
-        .out
-        .writer
-        .finish(ticks)
-        .map_err(|e| Failure::new(format!("cannot write {}: {e}", args.out.display())))?;
-    outcome?;
+    let bar = progress::bar(false, "reconstructing");
+    let chained = chain::run(&plan, &mut out, &stop, &mut |p| progress::show(&bar, p));
+    bar.finish_and_clear();
+    let chained = chained?;
+    if stop.load(Ordering::Relaxed) {
+        return Ok(ExitCode::from(EXIT_INTERRUPTED));
+    }
+    if let Some(e) = out.failed {
+        return Err(failed(e));
+    }
+    let ticks = chained.ticks;
+    if ticks > 0 {
+        out.writer.finish(ticks).map_err(failed)?;
+    }
+    chained.outcome.map_err(|e| kept(e, ticks, "frames", &args.out))?;
     if ticks == 0 {
         return Err(Failure::new(format!(
             "{} is shorter than one tick of {}; there is no frame to write",

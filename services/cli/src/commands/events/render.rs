@@ -1,17 +1,20 @@
 //! `evpr events render`: frames of a recording as pictures.
 
-use super::chain::{Chain, offline_plan};
-use super::convert::{check_target, interrupted};
 use super::pictures::Pictures;
+use super::plan::offline_plan;
+use super::{check_target, interrupted, kept};
 use crate::args::{AlignArg, ReconstructArgs, RenderArgs};
+use crate::chain;
 use crate::commands::run::EXIT_INTERRUPTED;
 use crate::failure::Failure;
+use crate::progress;
 use evpr_core::message::{ChannelOrder, FrameHeader, Frames};
 use evpr_core::plan::{Origin, Sensor};
 use evpr_core::stage::{Outlet, StageError};
+use std::io;
+use std::path::Path;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Ticks in order, those without events black.
 struct Render {
@@ -20,12 +23,27 @@ struct Render {
     frame: Vec<u8>,
     next: u64,
     most: u64,
-    stop: Arc<AtomicBool>,
+    failed: Option<io::Error>,
 }
 
 impl Render {
     fn full(&self) -> bool {
         self.next >= self.most
+    }
+
+    fn draw(&mut self, header: FrameHeader, len: usize, fill: &mut dyn FnMut(&mut [u8])) -> io::Result<()> {
+        self.frame.clear();
+        self.frame.resize(len, 0);
+        while self.next < header.tick && !self.full() {
+            self.pictures.add(self.next, self.order, &self.frame)?;
+            self.next += 1;
+        }
+        if self.full() {
+            return Ok(());
+        }
+        fill(&mut self.frame);
+        self.next = header.tick + 1;
+        self.pictures.add(header.tick, self.order, &self.frame)
     }
 }
 
@@ -36,33 +54,39 @@ impl Outlet<Frames> for Render {
         len: usize,
         fill: &mut dyn FnMut(&mut [u8]),
     ) -> Result<(), StageError> {
-        if self.stop.load(Ordering::Relaxed) {
-            return Err(StageError::Stopped);
-        }
         if header.reason != 0 {
             return Ok(());
         }
-        let failed = |e| StageError::Fatal(format!("cannot write the pictures: {e}"));
-        self.frame.clear();
-        self.frame.resize(len, 0);
-        while self.next < header.tick && !self.full() {
-            self.pictures
-                .add(self.next, self.order, &self.frame)
-                .map_err(failed)?;
-            self.next += 1;
+        if self.failed.is_none()
+            && let Err(e) = self.draw(header, len, fill)
+        {
+            self.failed = Some(e);
         }
-        if self.full() {
+        if self.failed.is_some() || self.full() {
             return Err(StageError::Stopped);
         }
-        fill(&mut self.frame);
-        self.next = header.tick + 1;
-        self.pictures
-            .add(header.tick, self.order, &self.frame)
-            .map_err(failed)
+        Ok(())
+    }
+}
+
+/// Refuses a name that promises something else.
+fn check_ending(out: &Path) -> Result<(), Failure> {
+    let ending = out.extension().map(|e| e.to_string_lossy().to_lowercase());
+    let is_folder = out.as_os_str().as_encoded_bytes().ends_with(b"/");
+    match ending {
+        Some(ending) if !is_folder && ending != "gif" && ending.starts_with(char::is_alphabetic) => {
+            Err(Failure::usage(format!(
+                "--out {}: what is written is an animated .gif, or a folder of .png files, not .{ending}; name it so, or \
+                 with a / at its end",
+                out.display()
+            )))
+        }
+        _ => Ok(()),
     }
 }
 
 pub(super) fn render(args: &RenderArgs) -> Result<ExitCode, Failure> {
+    check_ending(&args.out)?;
     check_target(&args.out, args.force)?;
     if args.out.is_dir() {
         return Err(Failure::new(format!(
@@ -79,6 +103,7 @@ pub(super) fn render(args: &RenderArgs) -> Result<ExitCode, Failure> {
         origin: Origin::FirstEvent,
         param: args.param.clone(),
         sensor: args.sensor.clone(),
+        bad: args.bad,
         out: args.out.clone(),
     })?;
     let failed = |e| Failure::new(format!("{}: cannot be written: {e}", args.out.display()));
@@ -90,34 +115,55 @@ pub(super) fn render(args: &RenderArgs) -> Result<ExitCode, Failure> {
         .map_or(ChannelOrder::Grey, |kind| kind.channel_order);
     let step = args.tick.unwrap_or(args.window);
     let stop = interrupted()?;
-    let out = Render {
+    let mut out = Render {
         pictures: Pictures::create(&args.out, side(height)?, side(width)?, order, step).map_err(failed)?,
         order,
         frame: Vec::new(),
         next: 0,
         most: args.frames.unwrap_or(u64::MAX),
-        stop: stop.clone(),
+        failed: None,
     };
-    let mut chain = Chain::new(&plan, out, "rendering")?;
-    let raised = evpr_runtime::Stop::new();
-    let ingest = evpr_ingest::Ingest::new(&plan, 0, 1, raised.signal().clone())?;
-    let outcome = ingest.run(&mut chain);
-    chain.bar.finish_and_clear();
+    let bar = progress::bar(false, "rendering");
+    let chained = chain::run(&plan, &mut out, &stop, &mut |p| progress::show(&bar, p));
+    bar.finish_and_clear();
+    let chained = chained?;
     if stop.load(Ordering::Relaxed) {
         return Ok(ExitCode::from(EXIT_INTERRUPTED));
     }
-    if !chain.out.full() {
-        outcome?;
+    if let Some(e) = out.failed {
+        return Err(failed(e));
     }
-    let pictures = chain.out.pictures;
-    let count = pictures.count();
+    let complete = out.full();
+    let count = out.pictures.count();
+    if count > 0 {
+        out.pictures.finish().map_err(failed)?;
+    }
+    if !complete {
+        chained
+            .outcome
+            .map_err(|e| kept(e, count, "pictures", &args.out))?;
+    }
     if count == 0 {
         return Err(Failure::new(format!(
-            "{} is shorter than one tick; there is nothing to show",
+            "{} is shorter than one tick, or its ticks are all empty; there is nothing to show",
             args.input.display()
         )));
     }
-    pictures.finish().map_err(failed)?;
     eprintln!("{count} pictures written to {}", args.out.display());
     Ok(ExitCode::SUCCESS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_promises_something_else_is_refused() {
+        for good in ["a.gif", "a.GIF", "a", "b/a.", "a.mp4/", "run1.5", ".hidden"] {
+            assert!(check_ending(Path::new(good)).is_ok(), "{good}");
+        }
+        for bad in ["a.mp4", "a.png", "b/a.npy", "a.gif.webm"] {
+            assert!(check_ending(Path::new(bad)).is_err(), "{bad}");
+        }
+    }
 }

@@ -1,6 +1,7 @@
 //! Frames of every method by day and by night: methods down, drives across.
 
 use super::{Canvas, FAINT, INK, LABEL, ORANGE, SKY_BLUE, SMALL, TITLE, canvas, finish, pass_title, text};
+use crate::colors;
 use crate::demo::frames::{Frame, Place};
 use crate::failure::Failure;
 use evpr_core::message::ChannelOrder;
@@ -93,61 +94,21 @@ fn frame_at(
     frame: Option<&Frame>,
 ) -> Result<(), Failure> {
     let (width, height) = (sensor.width * zoom, sensor.height * zoom);
+    let colors: Vec<[u8; 3]> = match frame {
+        Some(frame) => colors::pixels(frame.order, &frame.pixels)
+            .map(|pixel| colors::color(frame.order, pixel))
+            .collect(),
+        None => vec![[0xee; 3]; sensor.pixels()],
+    };
     let mut pixels = Vec::with_capacity(width * height * 3);
     for y in 0..height {
         for x in 0..width {
             let pixel = (y / zoom) * sensor.width + x / zoom;
-            pixels.extend(frame.map_or([0xee; 3], |frame| color_of(frame, pixel)));
+            pixels.extend(colors.get(pixel).copied().unwrap_or_default());
         }
     }
     if let Some(image) = BitMapElement::with_owned_buffer(at, (width as u32, height as u32), pixels) {
         canvas.draw(&image)?;
     }
     Ok(())
-}
-
-/// A pixel in red, green and blue: of two polarities, each in its colour.
-fn color_of(frame: &Frame, pixel: usize) -> [u8; 3] {
-    let channels = frame.order.channels();
-    let value = |channel: usize| frame.pixels.get(pixel * channels + channel).copied().unwrap_or(0);
-    match frame.order {
-        ChannelOrder::Grey => [value(0); 3],
-        ChannelOrder::BlueGreenRed => [value(2), value(1), value(0)],
-        ChannelOrder::OffOnZero => mixed(value(1), value(0)),
-        ChannelOrder::OnOffZero => mixed(value(0), value(1)),
-    }
-}
-
-fn mixed(on: u8, off: u8) -> [u8; 3] {
-    let (RGBColor(r, g, b), RGBColor(s, h, c)) = (ORANGE, SKY_BLUE);
-    let mix =
-        |a: u8, z: u8| ((u32::from(a) * u32::from(on) + u32::from(z) * u32::from(off)) / 255).min(255) as u8;
-    [mix(r, s), mix(g, h), mix(b, c)]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn polarities_keep_their_colours_whatever_the_order_of_channels() {
-        let frame = |order, pixels: &[u8]| Frame {
-            order,
-            pixels: pixels.to_vec(),
-        };
-        let orange = [ORANGE.0, ORANGE.1, ORANGE.2];
-        let sky = [SKY_BLUE.0, SKY_BLUE.1, SKY_BLUE.2];
-        assert_eq!(color_of(&frame(ChannelOrder::OffOnZero, &[0, 255, 0]), 0), orange);
-        assert_eq!(color_of(&frame(ChannelOrder::OnOffZero, &[255, 0, 0]), 0), orange);
-        assert_eq!(
-            color_of(&frame(ChannelOrder::OffOnZero, &[0, 0, 0, 255, 0, 0]), 1),
-            sky
-        );
-        assert_eq!(color_of(&frame(ChannelOrder::OnOffZero, &[0, 255, 0]), 0), sky);
-        assert_eq!(color_of(&frame(ChannelOrder::Grey, &[7]), 0), [7; 3]);
-        assert_eq!(
-            color_of(&frame(ChannelOrder::OffOnZero, &[255, 255, 0]), 0)[1],
-            255
-        );
-    }
 }

@@ -6,6 +6,7 @@ pub(crate) mod latency;
 pub(crate) mod recall;
 pub(crate) mod similarity;
 
+use crate::colors::{OFF, ON};
 use crate::failure::Failure;
 use evpr_core::plan::StreetPass;
 use plotters::coord::Shift;
@@ -22,8 +23,8 @@ const FAMILY: &str = "sans-serif";
 const INK: RGBColor = RGBColor(0x22, 0x26, 0x2a);
 const FAINT: RGBColor = RGBColor(0x66, 0x6c, 0x72);
 const GRID: RGBColor = RGBColor(0xdd, 0xe0, 0xe3);
-const ORANGE: RGBColor = RGBColor(0xe6, 0x9f, 0x00);
-const SKY_BLUE: RGBColor = RGBColor(0x56, 0xb4, 0xe9);
+const ORANGE: RGBColor = RGBColor(ON[0], ON[1], ON[2]);
+const SKY_BLUE: RGBColor = RGBColor(OFF[0], OFF[1], OFF[2]);
 const GREEN: RGBColor = RGBColor(0x00, 0x9e, 0x73);
 const BLUE: RGBColor = RGBColor(0x00, 0x72, 0xb2);
 const VERMILLION: RGBColor = RGBColor(0xd5, 0x5e, 0x00);

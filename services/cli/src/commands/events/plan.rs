@@ -1,18 +1,14 @@
-//! Frames of a recording without a graph: ingest and one reconstruction in this process.
+//! The plan of one reconstruction of a recording.
 
 use crate::args::{AlignArg, ReconstructArgs};
 use crate::catalog::CATALOG;
 use crate::commands::parse_sensor;
 use crate::failure::Failure;
-use crate::progress;
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
-use evpr_core::message::{ChunkHeader, Event, Frames, MemberSetting, TickHeader, TickKind};
 use evpr_core::plan::{Align, Origin, Sensor, Source};
-use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
 use evpr_core::time::format_duration;
-use evpr_runtime::Progress;
-use indicatif::ProgressBar;
+use evpr_events::agreed_sensor;
 use std::fmt::Write;
 
 /// The configuration that stands for the options, so that they are checked in one place.
@@ -65,7 +61,8 @@ fn as_toml(param: &str) -> String {
 pub(super) fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
     let given = args.sensor.as_deref().map(parse_sensor).transpose()?;
     let source = Source::file(&args.input);
-    let sensor = evpr_ingest::probe(&source)?.or(given).ok_or_else(|| {
+    let said = evpr_ingest::probe(&source)?;
+    let sensor = agreed_sensor(&args.input, said, given)?.ok_or_else(|| {
         Failure::new(format!(
             "{} does not tell the sensor's size; give it with --sensor HEIGHTxWIDTH",
             args.input.display()
@@ -76,76 +73,9 @@ pub(super) fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
         input: Some(args.input.clone()),
         ..Overrides::default()
     };
-    config.resolve(sensor, &overrides).map_err(Failure::usage)
-}
-
-/// Ingest and one reconstruction chained in this process.
-pub(super) struct Chain<O> {
-    pub(super) stage: evpr_reconstruct::Reconstruct,
-    pub(super) out: O,
-    pub(super) bar: ProgressBar,
-    events: Vec<Event>,
-    seq: u64,
-    /// The tick at which the recording ended, once it has.
-    pub(super) end: Option<u64>,
-}
-
-impl<O> Chain<O> {
-    pub(super) fn new(plan: &Plan, out: O, what: &str) -> Result<Self, Failure> {
-        Ok(Self {
-            stage: evpr_reconstruct::build(plan, 0)?,
-            out,
-            bar: progress::bar(false, what),
-            events: Vec::new(),
-            seq: 0,
-            end: None,
-        })
-    }
-}
-
-impl<O: Outlet<Frames>> IngestPort for Chain<O> {
-    fn now_ns(&self) -> u64 {
-        evpr_runtime::now_ns()
-    }
-
-    fn chunk(
-        &mut self,
-        mut header: ChunkHeader,
-        len: usize,
-        fill: &mut dyn FnMut(&mut [Event]),
-    ) -> Result<(), StageError> {
-        self.events.clear();
-        self.events.resize(len, Event::default());
-        fill(&mut self.events);
-        header.stamp.seq = self.seq;
-        self.seq += 1;
-        self.stage.process(&header, &self.events, &mut self.out)
-    }
-
-    fn tick(&mut self, header: TickHeader, _weights: &[f64]) -> Result<(), StageError> {
-        if header.kind == TickKind::End as u32 {
-            self.end = Some(header.tick);
-        }
-        Ok(())
-    }
-
-    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
-        None
-    }
-
-    fn wait_until(&mut self, _ns: u64) -> Result<(), StageError> {
-        Ok(())
-    }
-
-    fn progress(&mut self, permille: u64, next_tick: u64, events: u64, _skipped: u64) {
-        progress::show(
-            &self.bar,
-            &Progress {
-                permille,
-                events,
-                answers: next_tick,
-                recorded: 0,
-            },
-        );
-    }
+    let mut plan = config.resolve(sensor, &overrides).map_err(Failure::usage)?;
+    let source = &mut plan.source;
+    source.on_backward_time = args.bad.on_backward_time.unwrap_or(source.on_backward_time);
+    source.on_outside_sensor = args.bad.on_outside_sensor.unwrap_or(source.on_outside_sensor);
+    Ok(plan)
 }
