@@ -1,6 +1,8 @@
 //! kill -9 of each kind of process in the middle of a run, in lossless and in latest delivery.
 
-use super::support::{Bench, Running, Said, TICKS, assert_ticks, read_answers, reasons, text, timeless};
+use super::support::{
+    Bench, Running, Said, TICKS, assert_ticks, read_answers, reasons, run_args, text, timeless,
+};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use std::path::Path;
@@ -19,20 +21,7 @@ fn kill_one(kind: &str, delivery: &str, extra: &[&str]) -> (Bench, After) {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let mut args = vec![
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "--pace",
-        PACE,
-        "--delivery",
-        delivery,
-    ];
+    let mut args = run_args(&config, &query, &map, &["--pace", PACE, "--delivery", delivery]);
     args.extend_from_slice(extra);
     let mut running = Running::start(&bench, &args);
     assert!(running.read_to(KILL_AT));
@@ -106,18 +95,7 @@ fn lossless_fuser_dies_and_nothing_is_lost() {
         bench.path("query.txt"),
         bench.path("map"),
     );
-    let said = bench.run(&[
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "-o",
-        text(&out),
-    ]);
+    let said = bench.run(&run_args(&config, &query, &map, &["-o", text(&out)]));
     assert_eq!(said.code(), 0, "{}", said.stderr);
     for (a, b) in super::support::read_answers(&out).iter().zip(&after.answers) {
         assert_eq!(super::support::timeless(a), super::support::timeless(b));
@@ -182,16 +160,7 @@ fn unpaced_replay_survives_every_kind_of_death_in_a_row() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", 3000, 2);
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-    ];
+    let args = run_args(&config, &query, &map, &[]);
     let mut running = Running::start(&bench, &args);
     for (at, kind) in [
         (100, "reconstruct"),
@@ -217,18 +186,7 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "--pace",
-        "1",
-    ];
+    let args = run_args(&config, &query, &map, &["--pace", "1"]);
     let mut running = Running::start(&bench, &args);
     assert!(running.read_to(5));
     let orphans: Vec<i32> = ["ingest", "reconstruct", "extract", "fuse"]
@@ -239,18 +197,7 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
     Running::signal(running.pid(), Signal::SIGKILL);
     let _ = running.finish();
     let out = bench.path("again.jsonl");
-    let again = bench.run(&[
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "-o",
-        text(&out),
-    ]);
+    let again = bench.run(&run_args(&config, &query, &map, &["-o", text(&out)]));
     assert_eq!(again.code(), 0, "{}", again.stderr);
     assert!(again.stderr.contains("earlier run"), "{}", again.stderr);
     assert_ticks(&super::support::read_answers(&out), TICKS);
@@ -277,18 +224,7 @@ fn disturbed(
     disturb: impl FnOnce(&mut Running),
 ) -> (Vec<Value>, Said) {
     let query = bench.path("query.txt");
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(config),
-        "-i",
-        text(&query),
-        "-m",
-        text(map),
-        "--pace",
-        pace,
-    ];
+    let args = run_args(config, &query, map, &["--pace", pace]);
     let mut running = Running::start(bench, &args);
     disturb(&mut running);
     let (answers, said) = running.finish();
@@ -299,18 +235,7 @@ fn disturbed(
 fn undisturbed(bench: &Bench, config: &Path, map: &Path) -> Vec<Value> {
     let out = bench.path("undisturbed.jsonl");
     let query = bench.path("query.txt");
-    let said = bench.run(&[
-        "run",
-        "-q",
-        "-c",
-        text(config),
-        "-i",
-        text(&query),
-        "-m",
-        text(map),
-        "-o",
-        text(&out),
-    ]);
+    let said = bench.run(&run_args(config, &query, map, &["-o", text(&out)]));
     assert_eq!(said.code(), 0, "{}", said.stderr);
     read_answers(&out)
 }

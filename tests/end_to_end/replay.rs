@@ -1,6 +1,6 @@
 //! The whole job on synthetic data.
 
-use super::support::{Bench, TICKS, assert_ticks, read_answers, reasons, text, timeless};
+use super::support::{Bench, TICKS, assert_ticks, read_answers, reasons, run_args, text, timeless};
 use nix::sys::signal::Signal;
 
 /// Sequence length of the ensemble configuration.
@@ -11,18 +11,7 @@ fn matches(bench: &Bench, out: &str, extra: &[&str]) -> Vec<serde_json::Value> {
     let query = bench.path("query.txt");
     let out = bench.path(out);
     let map = bench.path("map");
-    let mut args = vec![
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "-o",
-        text(&out),
-    ];
+    let mut args = run_args(&config, &query, &map, &["-o", text(&out)]);
     args.extend_from_slice(extra);
     let said = bench.run(&args);
     assert_eq!(said.code(), 0, "{}", said.stderr);
@@ -87,18 +76,7 @@ fn ctrl_c_ends_in_an_orderly_way_with_130() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "--pace",
-        "2",
-    ];
+    let args = run_args(&config, &query, &map, &["--pace", "2"]);
     let mut running = super::support::Running::start(&bench, &args);
     assert!(running.read_to(10));
     super::support::Running::signal(running.pid(), Signal::SIGINT);

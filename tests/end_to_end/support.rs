@@ -208,6 +208,26 @@ pub(crate) fn text(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
+/// What starts a quiet run: `more` comes behind.
+pub(crate) fn run_args<'a>(
+    config: &'a Path,
+    input: &'a Path,
+    map: &'a Path,
+    more: &[&'a str],
+) -> Vec<&'a str> {
+    let run = [
+        "run",
+        "-q",
+        "-c",
+        text(config),
+        "-i",
+        text(input),
+        "-m",
+        text(map),
+    ];
+    [&run, more].concat()
+}
+
 /// Kills a process unless it is told that all is well in time.
 pub(crate) struct Watchdog {
     _done: Sender<()>,
