@@ -4,7 +4,7 @@
 mod recordings;
 mod storage;
 
-use crate::support::{Bench, Running, Said, TICKS, assert_ticks, text};
+use crate::support::{Bench, Running, Said, TICKS, assert_ticks, run_args, text};
 use evpr_store::Traverse;
 use nix::sys::signal::Signal;
 use std::fs;
@@ -214,16 +214,7 @@ fn no_instance_and_a_second_instance_of_the_same_name() {
         &["no instance named \"other\""],
     );
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-    ];
+    let args = run_args(&config, &query, &map, &[]);
     let mut running = Running::start(&bench, &[&args[..], &["--pace", "1"]].concat());
     assert!(running.read_to(5));
     let second = bench.run(&[&args[..], &["-o", "second.jsonl"]].concat());
@@ -266,6 +257,49 @@ fn stopping_before_the_first_tick_leaves_no_map() {
     assert!(said.stderr.contains("no map"), "{}", said.stderr);
     assert!(!bench.path("stopped").exists() && !bench.path("stopped.partial").exists());
     assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+#[test]
+fn a_run_that_fails_at_its_start_touches_no_older_answers_and_prints_no_table() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    let query = bench.recording("query.txt", 20, 2);
+    bench.file("bad.txt", "t x y p\n0.000001 1 1 1\n0.000002 x 1 1\n");
+    let older = bench.file("answers.jsonl", "older\n");
+    let run = |config: &str, input: &str, map: &str, out: &str| {
+        bench.run(&["run", "-c", config, "-i", input, "-m", map, "-o", out])
+    };
+    let (config, map, query) = (text(&config), text(&map), text(&query));
+    for (config, input, map, words) in [
+        (config, "bad.txt", map, "line 3"),
+        (config, "none.txt", map, "no such file"),
+        (config, query, "none", "none"),
+        ("none.toml", query, map, "none.toml"),
+    ] {
+        for out in ["answers.jsonl", "new.jsonl"] {
+            let said = run(config, input, map, out);
+            assert_fails(&bench, &said, 1, &[words]);
+            assert!(!said.stderr.contains("p50 ms"), "{}", said.stderr);
+        }
+        assert_eq!(fs::read(&older).unwrap(), b"older\n", "{words}");
+        assert!(!bench.path("new.jsonl").exists(), "{words}");
+    }
+    // Where nothing can be written is said before anything starts.
+    for (out, words) in [
+        ("none/answers.jsonl", "cannot write none/answers.jsonl"),
+        ("map", "cannot write map"),
+        (".", "cannot write ."),
+    ] {
+        let said = run(config, query, map, out);
+        assert_fails(&bench, &said, 1, &[words]);
+        assert_eq!(said.stderr.lines().count(), 1, "{}", said.stderr);
+    }
+    // Once there are answers they replace the older ones.
+    let said = run(config, query, map, "answers.jsonl");
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert!(said.stderr.contains("p50 ms"), "{}", said.stderr);
+    assert_ticks(&crate::support::read_answers(&older), 20);
 }
 
 /// A `.npy` of f64 with this shape.

@@ -2,11 +2,12 @@
 
 use evpr_core::message::{Candidate, MatchHeader};
 use evpr_core::{Plan, Reason};
+use nix::unistd::{AccessFlags, access};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// One line of the matches.
 #[derive(Debug, Serialize)]
@@ -102,12 +103,15 @@ pub(crate) struct MatchWriter {
 
 enum Sink {
     Stdout(io::Stdout),
-    File(BufWriter<File>),
+    /// Of a regular file nothing is touched until the first answer is there: a run that does not start destroys nothing.
+    File {
+        path: PathBuf,
+        file: Option<BufWriter<File>>,
+    },
 }
 
 impl MatchWriter {
-    /// Opens a file, or stdout. What the file holds stays until [`MatchWriter::begin`]: a run that does not start
-    /// destroys nothing.
+    /// Prepares for a file, or stdout, and checks that it can be written.
     pub(crate) fn open(path: Option<&Path>) -> Result<Self, String> {
         let Some(path) = path else {
             return Ok(Self {
@@ -115,28 +119,31 @@ impl MatchWriter {
                 sink: Sink::Stdout(io::stdout()),
             });
         };
-        let file = File::options()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(path);
-        let file = file.map_err(|e| format!("cannot write {}: {e}", path.display()))?;
+        let failed = |e: io::Error| format!("cannot write {}: {e}", path.display());
+        let file = match std::fs::metadata(path) {
+            Ok(about) => {
+                let file = File::options().write(true).open(path).map_err(failed)?;
+                // Pipes and devices are waited for now, and cannot be emptied.
+                (!about.is_file()).then(|| BufWriter::new(file))
+            }
+            Err(e) if e.kind() == io::ErrorKind::NotFound => {
+                let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+                let may = AccessFlags::W_OK | AccessFlags::X_OK;
+                access(folder.unwrap_or(Path::new(".")), may).map_err(|e| failed(e.into()))?;
+                if path.as_os_str().as_encoded_bytes().ends_with(b"/") {
+                    return Err(failed(io::ErrorKind::IsADirectory.into()));
+                }
+                None
+            }
+            Err(e) => return Err(failed(e)),
+        };
         Ok(Self {
             name: path.display().to_string(),
-            sink: Sink::File(BufWriter::new(file)),
+            sink: Sink::File {
+                path: path.to_owned(),
+                file,
+            },
         })
-    }
-
-    /// Empties the file, as the run begins.
-    pub(crate) fn begin(&mut self) -> Result<(), String> {
-        match &self.sink {
-            // Pipes and devices cannot be emptied and need not be.
-            Sink::File(file) if file.get_ref().metadata().is_ok_and(|m| m.is_file()) => file
-                .get_ref()
-                .set_len(0)
-                .map_err(|e| format!("cannot write {}: {e}", self.name)),
-            _ => Ok(()),
-        }
     }
 
     /// Writes one answer, out to the file: a reader that follows it sees whole lines.
@@ -151,7 +158,10 @@ impl MatchWriter {
         text.push('\n');
         let sink: &mut dyn Write = match &mut self.sink {
             Sink::Stdout(stdout) => stdout,
-            Sink::File(file) => file,
+            Sink::File { file: Some(file), .. } => file,
+            Sink::File { path, file } => {
+                file.insert(BufWriter::new(File::create(path).map_err(|e| failed(&e))?))
+            }
         };
         sink.write_all(text.as_bytes())
             .and_then(|()| sink.flush())

@@ -299,7 +299,7 @@ fn a_bad_event_in_the_first_tick_is_the_only_thing_reported() {
         spoilt(&bench, file, EARLY, &replacement);
         let said = run(&bench, file, "none", &[]);
         assert_fails(&bench, &said, 1, &all_words(file, &words));
-        assert_eq!(read_answers(&bench.path("none.jsonl")).len(), 0);
+        assert!(!bench.path("none.jsonl").exists());
         assert!(!bench.path("none").exists() && !bench.path("none.partial").exists());
     }
 }

@@ -72,10 +72,6 @@ struct CliHooks {
 }
 
 impl Hooks for CliHooks {
-    fn begin(&mut self) -> Result<(), String> {
-        self.writer.as_mut().map_or(Ok(()), MatchWriter::begin)
-    }
-
     fn answer(&mut self, header: &MatchHeader, candidates: &[Candidate]) -> Result<(), String> {
         match &mut self.writer {
             Some(writer) => writer.write(&self.plan, header, candidates),
@@ -103,7 +99,9 @@ pub(crate) fn supervise(
     let summary = run_graph(&plan, quiet, &mut hooks);
     hooks.bar.finish_and_clear();
     let summary = summary?;
-    if !quiet {
+    // Of a run that failed at its start there is nothing to tell.
+    let failed_at_start = summary.outcome == Outcome::Failed && summary.answers.max(recorded(&summary)) == 0;
+    if !quiet && !failed_at_start {
         summarise(&summary);
     }
     conclude(&plan, summary)
@@ -129,13 +127,16 @@ pub(crate) fn run_graph(plan: &Plan, quiet_logs: bool, hooks: &mut dyn Hooks) ->
     Ok(supervisor.run(hooks)?)
 }
 
+/// Ticks recorded.
+fn recorded(summary: &RunSummary) -> u64 {
+    let mut services = summary.services.iter();
+    let recorder = services.find(|s| s.kind == ServiceKind::Record);
+    recorder.map_or(0, |s| s.stats.next_tick)
+}
+
 /// What the run's end means for who started it.
 fn conclude(plan: &Plan, summary: RunSummary) -> Result<ExitCode, Failure> {
-    let recorded = summary
-        .services
-        .iter()
-        .find(|s| s.kind == ServiceKind::Record)
-        .map_or(0, |s| s.stats.next_tick);
+    let recorded = recorded(&summary);
     match summary.outcome {
         Outcome::Finished if summary.answers.max(recorded) == 0 => Err(Failure::new(format!(
             "{}: no tick ({}) is complete, so there is nothing to {}; use a longer recording, or a shorter tick",

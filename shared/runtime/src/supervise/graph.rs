@@ -94,14 +94,6 @@ pub type CommandLine = Box<dyn Fn(&Service, &Spawn) -> Command>;
 
 /// What the caller hears while the graph runs.
 pub trait Hooks {
-    /// The instance is ours and nothing has started yet: the time to prepare outputs.
-    ///
-    /// # Errors
-    /// One line; the run then does not start.
-    fn begin(&mut self) -> Result<(), String> {
-        Ok(())
-    }
-
     /// One answer, in order of ticks, each tick once.
     ///
     /// # Errors
@@ -289,10 +281,7 @@ impl Supervisor {
     /// # Errors
     /// When shared memory fails or a process cannot be started; everything is taken down then too.
     pub fn run(mut self, hooks: &mut dyn Hooks) -> Result<RunSummary, RuntimeError> {
-        let outcome = hooks
-            .begin()
-            .map_err(RuntimeError::Folder)
-            .and_then(|()| self.supervise(hooks));
+        let outcome = self.supervise(hooks);
         if outcome.is_err() {
             for process in &self.processes {
                 process.signal(Signal::SIGKILL);
