@@ -184,6 +184,24 @@ fn a_pipe_on_standard_input_gives_the_answers_of_the_file() {
 }
 
 #[test]
+fn the_unit_of_times_that_is_guessed_is_said_once() {
+    let bench = Bench::new();
+    let recording = bench.recording("query.txt", 5, 2);
+    let config = config(&bench, "kind = \"stdin\"\n");
+    for (delivery, out) in [("lossless", "a"), ("latest", "b")] {
+        let args = ["run", "-c", text(&config), "-r", out, "--delivery", delivery];
+        let mut running = Running::start_with(&bench, &args, Stdio::piped());
+        let bytes = as_text(&events(&recording));
+        let writer = write_all(running.stdin.take().unwrap(), bytes);
+        let (_, said) = running.finish();
+        assert!(writer.join().unwrap());
+        assert_eq!(said.code(), 0, "{}", said.stderr);
+        let unit = "time_unit=\"us\" time_unit_from=\"magnitude\"";
+        assert_eq!(said.stderr.matches(unit).count(), 1, "{}", said.stderr);
+    }
+}
+
+#[test]
 fn a_pipe_that_stays_open_is_answered_as_it_comes_and_quiet_windows_close() {
     let bench = Bench::new();
     bench.map(&bench.ensemble_config());

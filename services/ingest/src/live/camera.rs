@@ -110,7 +110,7 @@ fn follow(
                         format!("{name}: the camera's sensor is {other}, not {sensor}; correct [sensor]");
                     (Item::Failed(what), false)
                 } else {
-                    if !sender.news(Item::Connected(recording.describe().format.to_owned())) {
+                    if !sender.news(Item::Connected(recording.describe())) {
                         return;
                     }
                     let Some(outcome) = pump(recording, sender, clock) else {

@@ -322,10 +322,16 @@ impl Driver {
                     );
                 }
             }
-            Item::Connected(format) => {
+            Item::Connected(about) => {
                 self.live.connected = 1;
                 self.last_unreachable.clear();
-                tracing::info!(format, "{}: connected", self.name);
+                tracing::info!(
+                    format = about.format,
+                    time_unit = about.time_unit,
+                    time_unit_from = about.time_unit_from,
+                    "{}: connected",
+                    self.name
+                );
             }
             Item::Unreachable(why) => {
                 if why != self.last_unreachable {

@@ -2,7 +2,7 @@
 //! does not either: what does not fit is lost, and said so in its place.
 
 use crossbeam::channel::{Receiver, Sender, bounded};
-use evpr_events::{BATCH_EVENTS, RawEvent};
+use evpr_events::{BATCH_EVENTS, RawEvent, SourceInfo};
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -19,7 +19,7 @@ pub(super) enum Item {
     /// So many events were here and did not fit.
     Lost(u64),
     /// Connected; what it is.
-    Connected(String),
+    Connected(SourceInfo),
     /// No connection, and why; it is tried again.
     Unreachable(String),
     /// The connection is gone, and why; it is tried again.

@@ -65,6 +65,16 @@ fn event(t_ns: u64) -> RawEvent {
     }
 }
 
+fn connected() -> Item {
+    Item::Connected(evpr_events::SourceInfo {
+        format: "text",
+        path: "camera:1".into(),
+        time_unit: "s",
+        time_unit_from: "decimal point",
+        events: None,
+    })
+}
+
 /// Events at these sensor times in ms that arrive `way_ms` after the last of them.
 fn events(host0_ns: u64, way_ms: u64, times_ms: &[u64]) -> (u64, Item) {
     let arrival_ns = host0_ns + (times_ms.last().unwrap() + way_ms) * MS;
@@ -194,7 +204,7 @@ fn a_disconnection_costs_only_the_ticks_in_between_which_go_on_by_the_hosts_cloc
         events(HOST0, 0, &[0, 99, 120]),
         (HOST0 + 125 * MS, Item::Disconnected("gone".to_owned())),
         (HOST0 + 160 * MS, Item::Unreachable("no".to_owned())),
-        (HOST0 + 470 * MS, Item::Connected("text".to_owned())),
+        (HOST0 + 470 * MS, connected()),
         events(HOST0, 0, &[480]),
         events(HOST0, 0, &[520]),
         events(HOST0, 0, &[601]),
@@ -217,7 +227,7 @@ fn a_camera_that_starts_anew_goes_on_by_the_hosts_clock() {
     let items = vec![
         events(HOST0, 0, &[5_000, 5_099, 5_120]),
         (HOST0 + 5_150 * MS, Item::Disconnected("gone".to_owned())),
-        (HOST0 + 5_470 * MS, Item::Connected("text".to_owned())),
+        (HOST0 + 5_470 * MS, connected()),
     ];
     // Its time begins at 0 again, at the host's 5480 ms.
     let anew = (0..=10).map(|ms| events(HOST0 + 5_480 * MS, 0, &[ms]));
@@ -396,7 +406,7 @@ proptest! {
             items.push((host, match what {
                 0 => Item::Lost(count),
                 1 => Item::Disconnected(String::new()),
-                2 => Item::Connected(String::new()),
+                2 => connected(),
                 3 => Item::Unreachable(String::new()),
                 _ => {
                     if what == 4 {
