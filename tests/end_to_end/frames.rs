@@ -3,9 +3,9 @@
 use crate::support::{
     Bench, Running, Said, assert_ticks, read_answers, reasons, shared_data, text, timeless,
 };
+use evpr_store::{GroundTruth, Traverse};
 use nix::sys::signal::Signal;
 use serde_json::Value;
-use std::collections::{HashMap, HashSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -97,16 +97,18 @@ fn mapped() -> (Bench, PathBuf, PathBuf) {
 }
 
 /// Share of the queries with a match that are right, exactly and within 3 references.
-fn recalls(answers: &[Value], truth: &HashMap<u64, HashSet<u64>>) -> [f64; 2] {
-    let right = |tolerance: u64| {
-        let within = |answer: &&Value| {
-            let (tick, reference) = (answer["tick"].as_u64().unwrap(), answer["reference"].as_u64());
-            let accepted = truth.get(&tick).zip(reference);
-            accepted.is_some_and(|(all, r)| all.iter().any(|a| a.abs_diff(r) <= tolerance))
-        };
-        answers.iter().filter(within).count() as f64 / truth.len() as f64
+fn recalls(answers: &[Value], truth: &GroundTruth) -> [f64; 2] {
+    let reference = |answer: &Value| answer["reference"].as_u64().map(|reference| reference as usize);
+    let given: Vec<Option<usize>> = answers.iter().map(reference).collect();
+    let near = |(query, answer): (usize, &Option<usize>)| {
+        let mut places = answer.iter().flat_map(|r| r.saturating_sub(3)..=r + 3);
+        places.any(|place| truth.is_right(query, place))
     };
-    [right(0), right(3)]
+    let near = given.iter().enumerate().filter(|answer| near(*answer)).count();
+    [
+        truth.recall(&given).of_matchable(),
+        near as f64 / truth.with_match() as f64,
+    ]
 }
 
 #[test]
@@ -115,20 +117,12 @@ fn brisbane_is_recognised_as_often_as_published() {
     let Some(folder) = shared_data(TEST, "data/brisbane_7x7") else {
         return;
     };
-    let mut truth: HashMap<u64, HashSet<u64>> = HashMap::new();
-    for line in fs::read_to_string(folder.join("ground_truth.csv"))
-        .unwrap()
-        .lines()
-        .skip(1)
-    {
-        let (query, reference) = line.split_once(',').unwrap();
-        let accepted = truth.entry(query.parse().unwrap()).or_default();
-        accepted.insert(reference.parse().unwrap());
-    }
     let bench = Bench::new();
     let first = config(&bench, (7, 7), "log1p", 1, "");
     let said = build(&bench, &first, &folder.join("reference_sunset2.npy"), "map");
     assert_eq!(said.code(), 0, "{}", said.stderr);
+    let references = Traverse::open(&bench.path("map")).unwrap().len();
+    let truth = GroundTruth::from_pairs(&folder.join("ground_truth.csv"), 724, references).unwrap();
     let query = folder.join("query_sunset1.npy");
     for (length, known) in [(1, [0.185, 0.332]), (10, [0.558, 0.789]), (20, [0.571, 0.843])] {
         let config = config(&bench, (7, 7), "log1p", length, "");

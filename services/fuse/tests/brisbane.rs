@@ -5,8 +5,8 @@ mod support;
 
 use evpr_core::plan::{SequenceMethod, Similarity};
 use evpr_fuse::{sequence_match, similarity::similarity};
-use ndarray::{Array2, Array3, Axis};
-use std::collections::{HashMap, HashSet};
+use evpr_store::GroundTruth;
+use ndarray::{Array2, Array3, ArrayView1, Axis};
 
 /// Rows of `raw_pixels` 7×7 with `log1p`: mean 0, standard deviation 1, L2-normalised.
 fn rows(path: &std::path::Path) -> Array2<f32> {
@@ -32,18 +32,8 @@ fn recall_at_1_is_as_published() {
         rows(&folder.join("query_sunset1.npy")),
         rows(&folder.join("reference_sunset2.npy")),
     );
-    let mut truth: HashMap<usize, HashSet<usize>> = HashMap::new();
-    for line in std::fs::read_to_string(folder.join("ground_truth.csv"))
-        .unwrap()
-        .lines()
-        .skip(1)
-    {
-        let (q, r) = line.split_once(',').unwrap();
-        truth
-            .entry(q.parse().unwrap())
-            .or_default()
-            .insert(r.parse().unwrap());
-    }
+    let pairs = folder.join("ground_truth.csv");
+    let truth = GroundTruth::from_pairs(&pairs, query.nrows(), reference.nrows()).unwrap();
     let valid = vec![true; reference.nrows()];
     let mut s = Array2::zeros((query.nrows(), reference.nrows()));
     for (q, mut out) in query.rows().into_iter().zip(s.rows_mut()) {
@@ -52,15 +42,12 @@ fn recall_at_1_is_as_published() {
     }
     for (length, want) in [(1, 0.185), (10, 0.558), (20, 0.571)] {
         let scores = sequence_match(s.view(), length, SequenceMethod::Paper);
-        let right = truth.iter().filter(|(q, accepted)| {
-            let row = scores.row(**q);
-            let best = row
-                .iter()
-                .enumerate()
-                .fold(0, |best, (j, v)| if *v > row[best] { j } else { best });
-            accepted.contains(&best)
-        });
-        let recall = right.count() as f64 / truth.len() as f64;
+        let best = |row: ArrayView1<'_, f64>| {
+            let first_best = |best: usize, (j, v): (usize, &f64)| if *v > row[best] { j } else { best };
+            row.iter().enumerate().fold(0, first_best)
+        };
+        let answers: Vec<Option<usize>> = scores.rows().into_iter().map(|row| Some(best(row))).collect();
+        let recall = truth.recall(&answers).of_matchable();
         assert!(
             (recall - want).abs() < 0.01,
             "R@1 at L = {length}: {recall:.3} instead of {want}"

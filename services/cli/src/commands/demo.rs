@@ -183,6 +183,6 @@ fn evaluate(driven: &DrivenAll) -> Result<Evaluated, Failure> {
 /// Frames of every method at one place on all drives.
 fn look(setup: &Setup, folder: &ReportFolder, queries: &[Recorded]) -> Result<frames::Place, Failure> {
     let mapping = setup.mapping(&folder.traverse(StreetPass::Day))?;
-    let queries: Vec<_> = queries.iter().map(|q| (q.pass, &q.plan, &q.truth)).collect();
+    let queries: Vec<_> = queries.iter().map(|q| (q.pass, &q.plan, &q.positions)).collect();
     frames::look(&mapping, &queries)
 }

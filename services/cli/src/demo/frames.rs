@@ -1,13 +1,14 @@
 //! What the methods see: their frames of one window of one tick, made in this process by ingest and the
 //! reconstructions themselves.
 
-use super::recall::Truth;
+use super::recall::Positions;
+use crate::chain;
 use crate::failure::Failure;
 use evpr_core::Plan;
-use evpr_core::message::{ChannelOrder, ChunkHeader, Event, FrameHeader, Frames, MemberSetting, TickHeader};
+use evpr_core::message::{ChannelOrder, FrameHeader, Frames};
 use evpr_core::plan::{Sensor, StreetPass};
-use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
-use evpr_runtime::Stop;
+use evpr_core::stage::{Outlet, StageError};
+use std::sync::atomic::AtomicBool;
 
 /// A frame.
 #[derive(Debug, Clone)]
@@ -39,15 +40,15 @@ pub(crate) struct Seen {
     pub(crate) frames: Vec<Option<Frame>>,
 }
 
-/// Looks at the place of the map that the drives of `queries`, each with its plan and truth, come nearest to at the
+/// Looks at the place of the map that the drives of `queries`, each with its plan and positions, come nearest to at the
 /// start of a tick; `mapping` is the plan of the drive that was mapped. The place lies in the first third of the street,
 /// as the street cannot be entered in its middle.
 ///
 /// # Errors
 /// When there is no such place, or a drive cannot be simulated.
-pub(crate) fn look(mapping: &Plan, queries: &[(StreetPass, &Plan, &Truth)]) -> Result<Place, Failure> {
-    let truths: Vec<&Truth> = queries.iter().map(|(_, _, truth)| *truth).collect();
-    let place = common_place(&truths).ok_or_else(|| Failure::new("the drives have no place in common"))?;
+pub(crate) fn look(mapping: &Plan, queries: &[(StreetPass, &Plan, &Positions)]) -> Result<Place, Failure> {
+    let positions: Vec<&Positions> = queries.iter().map(|(_, _, positions)| *positions).collect();
+    let place = common_place(&positions).ok_or_else(|| Failure::new("the drives have no place in common"))?;
     let window = mapping.slicing.windows.len().saturating_sub(1).min(1);
     let mut drives = vec![(StreetPass::Day, mapping, place.reference)];
     drives.extend(
@@ -93,11 +94,11 @@ struct CommonPlace {
 }
 
 /// The reference, not at the very start, that all queries come nearest to.
-fn common_place(truths: &[&Truth]) -> Option<CommonPlace> {
-    let references = &truths.first()?.references;
+fn common_place(drives: &[&Positions]) -> Option<CommonPlace> {
+    let references = &drives.first()?.references;
     let nearest = |reference: usize| {
         let at = references[reference];
-        let near = truths.iter().map(|truth| truth.nearest_query(at));
+        let near = drives.iter().map(|positions| positions.nearest_query(at));
         let near: Option<Vec<(usize, f64)>> = near.collect();
         near.map(|near| (reference, near))
     };
@@ -108,8 +109,8 @@ fn common_place(truths: &[&Truth]) -> Option<CommonPlace> {
     let queries: Vec<usize> = near.into_iter().map(|(query, _)| query).collect();
     let of_queries = queries
         .iter()
-        .zip(truths)
-        .map(|(query, truth)| truth.queries[*query][0]);
+        .zip(drives)
+        .map(|(query, positions)| positions.queries[*query][0]);
     Some(CommonPlace {
         along_m: std::iter::once(references[reference][0])
             .chain(of_queries)
@@ -152,58 +153,11 @@ impl Outlet<Frames> for Collect {
             fill(&mut pixels);
             Frame { order, pixels }
         }));
-        Ok(())
-    }
-}
-
-/// Ingest and all reconstructions, chained.
-struct Chain {
-    stages: Vec<evpr_reconstruct::Reconstruct>,
-    events: Vec<Event>,
-    seq: u64,
-    collect: Collect,
-    stop: Stop,
-}
-
-impl IngestPort for Chain {
-    fn now_ns(&self) -> u64 {
-        evpr_runtime::now_ns()
-    }
-
-    fn chunk(
-        &mut self,
-        mut header: ChunkHeader,
-        len: usize,
-        fill: &mut dyn FnMut(&mut [Event]),
-    ) -> Result<(), StageError> {
-        self.events.clear();
-        self.events.resize(len, Event::default());
-        fill(&mut self.events);
-        header.stamp.seq = self.seq;
-        self.seq += 1;
-        for stage in &mut self.stages {
-            stage.process(&header, &self.events, &mut self.collect)?;
-        }
-        if self.collect.complete() {
-            self.stop.raise();
+        if self.complete() {
             return Err(StageError::Stopped);
         }
         Ok(())
     }
-
-    fn tick(&mut self, _header: TickHeader, _weights: &[f64]) -> Result<(), StageError> {
-        Ok(())
-    }
-
-    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
-        None
-    }
-
-    fn wait_until(&mut self, _ns: u64) -> Result<(), StageError> {
-        Ok(())
-    }
-
-    fn progress(&mut self, _permille: u64, _next_tick: u64, _events: u64, _skipped: u64) {}
 }
 
 /// The frames of this window and tick of the plan's source, one per reconstruction of the plan; `None` where the window
@@ -212,22 +166,13 @@ impl IngestPort for Chain {
 /// # Errors
 /// When the source cannot be read.
 fn at(plan: &Plan, tick: u64, window: usize) -> Result<Vec<Option<Frame>>, Failure> {
-    let reconstructions = plan.reconstructions.len();
-    let stages = (0..reconstructions).map(|r| evpr_reconstruct::build(plan, r));
-    let stop = Stop::new();
-    let mut chain = Chain {
-        stages: stages.collect::<Result<_, _>>()?,
-        events: Vec::new(),
-        seq: 0,
-        collect: Collect {
-            tick,
-            window: window as u32,
-            found: vec![None; reconstructions],
-        },
-        stop: stop.clone(),
+    let mut collect = Collect {
+        tick,
+        window: window as u32,
+        found: vec![None; plan.reconstructions.len()],
     };
-    evpr_ingest::Ingest::new(plan, 0, 1, stop.signal().clone())?.run(&mut chain)?;
-    Ok(chain.collect.found.into_iter().map(Option::flatten).collect())
+    chain::run(plan, &mut collect, &AtomicBool::new(false), &mut |_| {})?.outcome?;
+    Ok(collect.found.into_iter().map(Option::flatten).collect())
 }
 
 #[cfg(test)]
@@ -238,16 +183,16 @@ mod tests {
     fn the_common_place_is_the_nearest_of_all_drives() {
         let along = |metres: &[f64]| metres.iter().map(|m| [*m, 0.0]).collect::<Vec<_>>();
         let references = along(&[0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0]);
-        let truth = |queries: &[f64]| Truth {
+        let drive = |queries: &[f64]| Positions {
             references: references.clone(),
             queries: along(queries),
         };
         // 0 m fits best, but is the very start; 30 m and more are beyond the first third.
-        let (a, b) = (truth(&[0.0, 7.0, 19.0, 30.0]), truth(&[0.0, 14.0, 20.5, 30.0]));
+        let (a, b) = (drive(&[0.0, 7.0, 19.0, 30.0]), drive(&[0.0, 14.0, 20.5, 30.0]));
         let place = common_place(&[&a, &b]).unwrap();
         assert_eq!((place.reference, place.queries), (2, vec![2, 2]));
         assert_eq!(place.along_m, [20.0, 19.0, 20.5]);
         assert!(common_place(&[]).is_none());
-        assert!(common_place(&[&truth(&[])]).is_none());
+        assert!(common_place(&[&drive(&[])]).is_none());
     }
 }

@@ -9,7 +9,7 @@ use evpr_core::plan::StreetPass;
 use evpr_core::{MemberSet, Plan};
 use evpr_fuse::offline::{Query, answers};
 use evpr_fuse::{FuseError, Map};
-use evpr_store::Traverse;
+use evpr_store::{GroundTruth, StoreError, Traverse};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
@@ -104,23 +104,26 @@ pub(crate) struct Recorded {
     pub(crate) plan: Plan,
     pub(crate) map: Map,
     pub(crate) query: Query,
-    pub(crate) truth: Truth,
+    pub(crate) positions: Positions,
+    /// Which places are right.
+    pub(crate) truth: GroundTruth,
 }
 
 /// Where places and queries are: metres east and north at the start of each tick.
 #[derive(Debug, Clone)]
-pub(crate) struct Truth {
+pub(crate) struct Positions {
     pub(crate) references: Vec<[f64; 2]>,
     pub(crate) queries: Vec<[f64; 2]>,
 }
 
-impl Truth {
-    /// Whether this reference is a right answer to the query of this index.
-    pub(crate) fn is_right(&self, query: usize, reference: usize) -> bool {
-        match (self.queries.get(query), self.references.get(reference)) {
-            (Some(q), Some(r)) => distance_m(*q, *r) <= TOLERANCE_M,
-            _ => false,
-        }
+impl Positions {
+    /// Right is what lies within [`TOLERANCE_M`].
+    ///
+    /// # Errors
+    /// When there are too many right answers to be held.
+    fn truth(&self) -> Result<GroundTruth, StoreError> {
+        let known = |places: &[[f64; 2]]| places.iter().copied().map(Some).collect::<Vec<_>>();
+        GroundTruth::from_positions(&known(&self.queries), &known(&self.references), TOLERANCE_M)
     }
 
     /// The reference that is nearest to a query, and how far it is, metres.
@@ -135,12 +138,9 @@ impl Truth {
 }
 
 fn nearest(places: &[[f64; 2]], to: [f64; 2]) -> Option<(usize, f64)> {
-    let distances = places.iter().map(|place| distance_m(to, *place)).enumerate();
+    let distance_m = |place: &[f64; 2]| (to[0] - place[0]).hypot(to[1] - place[1]);
+    let distances = places.iter().map(distance_m).enumerate();
     distances.min_by(|a, b| a.1.total_cmp(&b.1))
-}
-
-fn distance_m(a: [f64; 2], b: [f64; 2]) -> f64 {
-    (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
 impl Recorded {
@@ -150,14 +150,15 @@ impl Recorded {
     /// When a traverse cannot be opened, or has ticks without a position.
     pub(crate) fn open(plan: &Plan, pass: StreetPass, recorded: &Path) -> Result<Self, Failure> {
         let map = Map::open(plan)?;
-        let references = positions(plan.map.as_deref().ok_or(FuseError::NoMap)?)?;
+        let positions = Positions {
+            references: positions(plan.map.as_deref().ok_or(FuseError::NoMap)?)?,
+            queries: positions(recorded)?,
+        };
         Ok(Self {
             pass,
             query: Query::open(plan, recorded)?,
-            truth: Truth {
-                references,
-                queries: positions(recorded)?,
-            },
+            truth: positions.truth()?,
+            positions,
             plan: plan.clone(),
             map,
         })
@@ -179,12 +180,6 @@ impl Recorded {
             .iter()
             .map(|(header, _)| usize::try_from(header.reference).ok());
         Ok(reference.collect())
-    }
-
-    fn right(&self, answers: &[Option<usize>]) -> usize {
-        let right =
-            |(query, answer): (usize, &Option<usize>)| answer.is_some_and(|r| self.truth.is_right(query, r));
-        answers.iter().enumerate().filter(|a| right(*a)).count()
     }
 }
 
@@ -241,7 +236,8 @@ pub(crate) fn measure(recorded: &Recorded, length: usize) -> Result<Vec<KindReca
     let measured: Result<Vec<EnsembleRecall>, FuseError> = all
         .par_iter()
         .map(|ensemble| {
-            let right = recorded.right(&recorded.answers(&ensemble.members, length)?);
+            let answers = recorded.answers(&ensemble.members, length)?;
+            let right = recorded.truth.recall(&answers).right;
             Ok(EnsembleRecall {
                 name: ensemble.name.clone(),
                 right,
@@ -299,15 +295,14 @@ mod tests {
 
     #[test]
     fn right_is_within_five_metres_and_beyond_the_ends_is_wrong() {
-        let truth = Truth {
+        let positions = Positions {
             references: vec![[0.0, 0.0], [6.0, 0.0], [12.0, 0.0]],
             queries: vec![[4.0, 3.0], [10.0, 0.0]],
         };
-        assert!(truth.is_right(0, 0), "exactly 5 m");
-        assert!(truth.is_right(0, 1));
-        assert!(!truth.is_right(0, 2));
+        let truth = positions.truth().unwrap();
+        assert_eq!(truth.matches(0), [0, 1], "the first is exactly 5 m away");
         assert!(!truth.is_right(0, 3) && !truth.is_right(2, 0));
-        assert_eq!(truth.nearest(1), Some((2, 2.0)));
-        assert_eq!(truth.nearest(2), None);
+        assert_eq!(positions.nearest(1), Some((2, 2.0)));
+        assert_eq!(positions.nearest(2), None);
     }
 }

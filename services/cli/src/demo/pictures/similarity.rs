@@ -22,7 +22,7 @@ pub(crate) fn draw(path: &Path, recorded: &Recorded, matrix: &ScoreMatrix) -> Re
     let (head, rest) = canvas.split_vertically(128);
     let (body, foot) = rest.split_vertically(SIZE.1 - 128 - 64);
     let right = |query: usize| matrix.answers[query].is_some_and(|r| recorded.truth.is_right(query, r));
-    let count = (0..matrix.answers.len()).filter(|q| right(*q)).count();
+    let count = recorded.truth.recall(&matrix.answers).right;
     head.draw_text(
         &format!("Fused scores, {}", pass_title(recorded.pass)),
         &text(TITLE, INK),
@@ -68,7 +68,7 @@ pub(crate) fn draw(path: &Path, recorded: &Recorded, matrix: &ScoreMatrix) -> Re
     chart.draw_series(cells)?;
     let middle = |v: usize| v as f64 + 0.5;
     let truth =
-        (0..matrix.answers.len()).filter_map(|q| Some((middle(recorded.truth.nearest(q)?.0), middle(q))));
+        (0..matrix.answers.len()).filter_map(|q| Some((middle(recorded.positions.nearest(q)?.0), middle(q))));
     chart.draw_series(std::iter::once(PathElement::new(
         truth.collect::<Vec<_>>(),
         BLUE.stroke_width(3),
