@@ -3,7 +3,7 @@
 use crate::support::{Bench, assert_ticks, read_answers, shared_data, text};
 use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
-use evpr_core::plan::{Catalog, Sensor};
+use evpr_core::plan::{Catalog, Models, Sensor};
 use evpr_fuse::{Map, offline};
 use evpr_store::Traverse;
 use serde_json::Value;
@@ -177,6 +177,8 @@ fn plan(bench: &Bench, map: &Path) -> Plan {
     let catalog = Catalog {
         reconstructions: &evpr_reconstruct::KINDS,
         extractors: &evpr_extract::KINDS,
+        models: Models::NONE,
+        cores: 2,
     };
     let text = fs::read_to_string(bench.path("all.toml")).unwrap();
     let config = config::parse(&text, "all.toml", &catalog).unwrap();

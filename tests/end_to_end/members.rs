@@ -2,7 +2,7 @@
 
 use super::support::{Bench, Running, TICKS, assert_ticks, text};
 use evpr_core::config::{self, Overrides};
-use evpr_core::plan::{Catalog, Plan, Sensor};
+use evpr_core::plan::{Catalog, Models, Plan, Sensor};
 use evpr_core::{MemberSet, Reason};
 use evpr_fuse::{Map, offline};
 use serde_json::Value;
@@ -12,6 +12,8 @@ fn plan(bench: &Bench, config: &Path, input: &Path, map: &Path) -> Plan {
     let catalog = Catalog {
         reconstructions: &evpr_reconstruct::KINDS,
         extractors: &evpr_extract::KINDS,
+        models: Models::NONE,
+        cores: 2,
     };
     let text = std::fs::read_to_string(config).unwrap();
     let config = config::parse(&text, "ensemble.toml", &catalog).unwrap();

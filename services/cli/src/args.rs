@@ -284,9 +284,12 @@ pub(crate) struct RenderArgs {
     /// An animated .gif, or a folder (that does not exist yet) of .png files
     #[arg(short, long, value_name = "OUT")]
     pub(crate) out: PathBuf,
-    /// event_count, event_count_no_polarity or time_surface
+    /// event_count, event_count_no_polarity, time_surface, or a network such as e2vid
     #[arg(short, long, value_name = "METHOD", default_value = "event_count")]
     pub(crate) method: String,
+    /// The registry of models, for networks
+    #[arg(long, value_name = "FILE", default_value = evpr_core::config::DEFAULT_REGISTRY)]
+    pub(crate) models: PathBuf,
     /// Length of the window, such as 50ms
     #[arg(short, long, value_name = "DURATION", default_value = "50ms", value_parser = duration)]
     pub(crate) window: u64,
@@ -342,9 +345,12 @@ pub(crate) struct ReconstructArgs {
     /// The recording
     #[arg(value_name = "IN")]
     pub(crate) input: PathBuf,
-    /// event_count, event_count_no_polarity or time_surface
+    /// event_count, event_count_no_polarity, time_surface, or a network such as e2vid
     #[arg(short, long, value_name = "METHOD")]
     pub(crate) method: String,
+    /// The registry of models, for networks
+    #[arg(long, value_name = "FILE", default_value = evpr_core::config::DEFAULT_REGISTRY)]
+    pub(crate) models: PathBuf,
     /// Length of the window, such as 250ms
     #[arg(short, long, value_name = "DURATION", value_parser = duration)]
     pub(crate) window: u64,

@@ -1,12 +1,14 @@
 //! The stage around a kind of extractor: headers, members and reasons.
 
 use crate::kind::{FrameView, Kind};
+use crate::network::{self, NetworkExtractor};
 use crate::registry;
 use evpr_core::Reason;
 use evpr_core::member::MAX_EXTRACTORS;
 use evpr_core::message::{ChannelOrder, DescriptorHeader, Descriptors, FrameHeader, Frames};
 use evpr_core::plan::{Plan, Sensor};
 use evpr_core::stage::{Outlet, Stage, StageError};
+use evpr_onnx::OnnxError;
 
 /// Why an extractor cannot be made of a plan.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -37,6 +39,14 @@ pub enum BuildError {
         /// What is wrong and what to write.
         problem: String,
     },
+    /// Its network cannot be used.
+    #[error("extractor \"{id}\": {problem}")]
+    Network {
+        /// The extractor's name in the plan.
+        id: String,
+        /// What is wrong with it and what to do.
+        problem: OnnxError,
+    },
     /// The plan says something that this kind cannot do.
     #[error("extractor \"{id}\": {problem}; make the plan anew from its configuration")]
     Plan {
@@ -61,15 +71,23 @@ pub struct Extract {
     channels: Vec<usize>,
     /// Per reconstruction and window: the member.
     members: Vec<Vec<Option<u32>>>,
-    kind: Box<dyn Kind>,
-    row: Vec<f32>,
+    engine: Engine,
+    /// Length of a row.
+    dim: usize,
+}
+
+/// What makes rows.
+enum Engine {
+    /// A kind of this crate, and the row that it made last.
+    Kind(Box<dyn Kind>, Vec<f32>),
+    Network(Box<NetworkExtractor>),
 }
 
 impl std::fmt::Debug for Extract {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Extract")
             .field("id", &self.id)
-            .field("dim", &self.row.len())
+            .field("dim", &self.dim)
             .finish_non_exhaustive()
     }
 }
@@ -87,25 +105,15 @@ pub fn build(plan: &Plan, extractor: usize) -> Result<Extract, BuildError> {
             index: extractor,
             count: plan.extractors.len(),
         })?;
-    let row = registry::find(&e.kind).ok_or_else(|| BuildError::UnknownKind {
-        id: e.id.clone(),
-        kind: e.kind.clone(),
-        known: registry::KINDS.map(|kind| kind.name).join(", "),
-    })?;
-    let params = |problem| BuildError::Params {
-        id: e.id.clone(),
-        problem,
+    let engine = engine(plan, extractor)?;
+    let dim = match &engine {
+        Engine::Kind(_, row) => row.len(),
+        Engine::Network(network) => network.dimension(),
     };
-    for info in row.kind.params {
-        info.check(&e.params).map_err(params)?;
-    }
-    let dim = (row.kind.dim)(&e.params).map_err(params)?;
     let problem = if dim != e.dim {
         Some(format!("its rows have {dim} numbers, not {}", e.dim))
     } else if extractor >= MAX_EXTRACTORS {
         Some(format!("it is one of more than {MAX_EXTRACTORS}"))
-    } else if plan.sensor.pixels() == 0 {
-        Some(format!("the sensor is {} pixels", plan.sensor))
     } else {
         None
     };
@@ -124,9 +132,42 @@ pub fn build(plan: &Plan, extractor: usize) -> Result<Extract, BuildError> {
         sensor: plan.sensor,
         channels: plan.reconstructions.iter().map(|r| r.channels).collect(),
         members,
-        kind: (row.make)(plan.sensor, &e.params),
-        row: vec![0.0; dim],
+        engine,
+        dim,
     })
+}
+
+/// What makes the rows of the plan's extractor `extractor`.
+fn engine(plan: &Plan, extractor: usize) -> Result<Engine, BuildError> {
+    let e = &plan.extractors[extractor];
+    if plan.sensor.pixels() == 0 {
+        return Err(BuildError::Plan {
+            id: e.id.clone(),
+            problem: format!("the sensor is {} pixels", plan.sensor),
+        });
+    }
+    let loaded = NetworkExtractor::load(plan, extractor);
+    let loaded = loaded.map_err(|problem| BuildError::Network {
+        id: e.id.clone(),
+        problem,
+    })?;
+    if let Some(network) = loaded {
+        return Ok(Engine::Network(Box::new(network)));
+    }
+    let row = registry::find(&e.kind).ok_or_else(|| BuildError::UnknownKind {
+        id: e.id.clone(),
+        kind: e.kind.clone(),
+        known: registry::KINDS.map(|kind| kind.name).join(", "),
+    })?;
+    let params = |problem| BuildError::Params {
+        id: e.id.clone(),
+        problem,
+    };
+    for info in row.kind.params {
+        info.check(&e.params).map_err(params)?;
+    }
+    let dim = (row.kind.dim)(&e.params).map_err(params)?;
+    Ok(Engine::Kind((row.make)(plan.sensor, &e.params), vec![0.0; dim]))
 }
 
 impl Extract {
@@ -152,8 +193,8 @@ impl Extract {
         }
     }
 
-    /// Computes the row of a frame into `self.row`, if frame and row are as they should be.
-    fn compute(&mut self, header: &FrameHeader, pixels: &[u8]) -> Result<(), StageError> {
+    /// The image of a frame, if it is as the plan says.
+    fn view<'p>(&self, header: &FrameHeader, pixels: &'p [u8]) -> Result<FrameView<'p>, StageError> {
         let Sensor { height, width } = self.sensor;
         let order = ChannelOrder::from_code(header.channel_order);
         let planned = self.channels.get(header.reconstruction as usize);
@@ -173,15 +214,70 @@ impl Extract {
             let what = format!("it has {} bytes, not {expected}", pixels.len());
             return Err(self.skip(header, &what));
         }
-        let frame = FrameView {
+        Ok(FrameView {
             channel_order,
             pixels,
-        };
-        self.kind.extract(frame, &mut self.row);
-        match self.row.iter().position(|v| !v.is_finite()) {
-            Some(i) => Err(self.skip(header, &format!("number {i} of its row is {}", self.row[i]))),
-            None => Ok(()),
+        })
+    }
+
+    /// Emits the row of a frame, now or once enough frames wait.
+    fn take(
+        &mut self,
+        header: &FrameHeader,
+        member: u32,
+        frame: FrameView<'_>,
+        outlet: &mut dyn Outlet<Descriptors>,
+    ) -> Result<(), StageError> {
+        match &mut self.engine {
+            Engine::Network(network) => {
+                if network.push(*header, member, frame) {
+                    return self.run_network(outlet);
+                }
+                Ok(())
+            }
+            Engine::Kind(kind, row) => {
+                kind.extract(frame, row);
+                let bad = row.iter().position(|v| !v.is_finite()).map(|i| (i, row[i]));
+                if let Some((i, value)) = bad {
+                    self.emit_none(header, member, Reason::Failed, outlet)?;
+                    return Err(self.skip(header, &format!("number {i} of its row is {value}")));
+                }
+                let Engine::Kind(_, row) = &self.engine else {
+                    return Ok(());
+                };
+                outlet.emit(self.header(header, member), row.len(), &mut |out| {
+                    out.copy_from_slice(row);
+                })
+            }
         }
+    }
+
+    /// Computes what waits for the network, and emits it.
+    fn run_network(&mut self, outlet: &mut dyn Outlet<Descriptors>) -> Result<(), StageError> {
+        let Engine::Network(network) = &mut self.engine else {
+            return Ok(());
+        };
+        let (frames, computed) = network.run();
+        let mut failed = None;
+        for (index, (header, member)) in frames.iter().enumerate() {
+            let row = match &computed {
+                Ok(descriptors) => {
+                    let row = descriptors.get(index);
+                    network::length(row).map(|length| (row, length))
+                }
+                Err(e) => Err(e.to_string()),
+            };
+            match row {
+                Ok((row, length)) => outlet.emit(self.header(header, *member), row.len(), &mut |out| {
+                    network::write_unit(row, length, out);
+                })?,
+                Err(problem) => {
+                    self.emit_none(header, *member, Reason::Failed, outlet)?;
+                    failed = Some(self.skip(header, &problem));
+                }
+            }
+        }
+        failed.map_or(Ok(()), Err)
     }
 
     fn header(&self, frame: &FrameHeader, member: u32) -> DescriptorHeader {
@@ -190,7 +286,7 @@ impl Extract {
             life: frame.life,
             epoch: frame.epoch,
             member,
-            dim: self.row.len() as u32,
+            dim: self.dim as u32,
             reconstruct_service: frame.stamp.service,
             reconstruct_incarnation: frame.stamp.incarnation,
             ..DescriptorHeader::default()
@@ -223,21 +319,25 @@ impl Stage for Extract {
         let Some(member) = self.member_of(header)? else {
             return Ok(());
         };
-        let computed = match (header.reason, Reason::from_code(header.reason)) {
-            (0, _) => self.compute(header, payload),
+        let frame = match (header.reason, Reason::from_code(header.reason)) {
+            (0, _) => self.view(header, payload),
             (_, Some(reason)) => return self.emit_none(header, member, reason, outlet),
             (code, None) => Err(self.skip(header, &format!("there is no reason with code {code}"))),
         };
-        if let Err(error) = computed {
-            self.emit_none(header, member, Reason::Failed, outlet)?;
-            return Err(error);
-        }
-        let row = &self.row;
-        outlet.emit(self.header(header, member), row.len(), &mut |out| {
-            for (to, from) in out.iter_mut().zip(row) {
-                *to = *from;
+        match frame {
+            Ok(frame) => self.take(header, member, frame, outlet),
+            Err(error) => {
+                self.emit_none(header, member, Reason::Failed, outlet)?;
+                Err(error)
             }
-        })
+        }
+    }
+
+    fn flush(&mut self, outlet: &mut dyn Outlet<Descriptors>) -> Result<(), StageError> {
+        match &self.engine {
+            Engine::Network(network) if network.is_waiting() => self.run_network(outlet),
+            _ => Ok(()),
+        }
     }
 
     fn skip_dropped(

@@ -4,11 +4,14 @@
 //! and one row of the `registry`: it knows how to turn an image into numbers; headers, members and reasons are the
 //! driver's affair.
 
+mod antialias;
 mod driver;
 mod hog;
 mod kind;
+mod network;
 mod normalise;
 mod patch_norm;
+mod preprocess;
 mod raw_pixels;
 mod registry;
 mod resize;

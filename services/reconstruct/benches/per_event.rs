@@ -183,6 +183,8 @@ fn stage(kind: &str, sensor: Sensor, windows_ms: &[u64]) -> Reconstruct {
                     .map(|p| (p.name.to_owned(), p.default_value()))
                     .collect(),
             ),
+            optional: false,
+            network: None,
         })
         .collect();
     plan.sensor = sensor;

@@ -2,12 +2,14 @@
 
 use crate::held::Held;
 use crate::method::Method;
+use crate::network::{LoadError, NetworkMethod};
 use crate::registry;
 use evpr_core::member::{MAX_EXTRACTORS, MAX_WINDOWS};
 use evpr_core::message::{ChannelOrder, ChunkHeader, Chunks, Event, FrameHeader, Frames};
 use evpr_core::plan::{Plan, SegmentPlan, Sensor};
 use evpr_core::stage::{Outlet, Stage, StageError};
 use evpr_core::{MemberSet, Reason};
+use evpr_onnx::OnnxError;
 
 /// Why a reconstruction cannot be made of a plan.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -39,6 +41,14 @@ pub enum BuildError {
         id: String,
         /// What is wrong and what to write.
         problem: String,
+    },
+    /// Its network cannot be used.
+    #[error("reconstruction \"{id}\": {problem}")]
+    Network {
+        /// The reconstruction's name in the plan.
+        id: String,
+        /// What is wrong with it and what to do.
+        problem: OnnxError,
     },
     /// The plan says something that this method cannot do.
     #[error("reconstruction \"{id}\": {problem}; make the plan anew from its configuration")]
@@ -111,23 +121,22 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
             index: reconstruction,
             count: plan.reconstructions.len(),
         })?;
-    let row = registry::find(&r.kind).ok_or_else(|| BuildError::UnknownKind {
-        id: r.id.clone(),
-        kind: r.kind.clone(),
-        known: registry::KINDS.map(|kind| kind.name).join(", "),
-    })?;
-    let params = |problem| BuildError::Params {
-        id: r.id.clone(),
-        problem,
+    let row = registry::find(&r.kind);
+    let channel_order = match &row {
+        Some(row) if r.network.is_none() => row.kind.channel_order,
+        None if r.network.is_none() => {
+            return Err(BuildError::UnknownKind {
+                id: r.id.clone(),
+                kind: r.kind.clone(),
+                known: registry::KINDS.map(|kind| kind.name).join(", "),
+            });
+        }
+        _ => ChannelOrder::Grey,
     };
-    let channel_order = row.kind.channel_order;
     check_sizes(plan, r.channels, channel_order).map_err(|problem| BuildError::Plan {
         id: r.id.clone(),
         problem,
     })?;
-    for info in row.kind.params {
-        info.check(&r.params).map_err(params)?;
-    }
     let segments = plan.slicing.segments();
     let windows = 0..segments.windows.len();
     let members: Vec<Vec<(usize, usize)>> = windows.map(|w| members_of(plan, reconstruction, w)).collect();
@@ -138,8 +147,8 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
         .zip(&members)
         .filter(|(_, m)| !m.is_empty());
     let held = Held::new(&segments, &used.map(|(w, _)| *w).collect::<Vec<_>>());
-    let mut method = (row.make)(plan.sensor, held.slots(), &r.params).map_err(params)?;
-    if row.kind.masks_hot_pixels {
+    let mut method = method(plan, reconstruction, row, held.slots())?;
+    if r.masks_hot_pixels {
         method.mask(plan.reconstruction_mask(reconstruction));
     }
     Ok(Reconstruct {
@@ -158,6 +167,35 @@ pub fn build(plan: &Plan, reconstruction: usize) -> Result<Reconstruct, BuildErr
         events: 0,
         outside_sensor: 0,
     })
+}
+
+/// The method of the plan's reconstruction, with so many slots: its network, or else the registry's row.
+fn method(
+    plan: &Plan,
+    reconstruction: usize,
+    row: Option<registry::Row>,
+    slots: usize,
+) -> Result<Box<dyn Method>, BuildError> {
+    let r = &plan.reconstructions[reconstruction];
+    let id = || r.id.clone();
+    let params = |problem| BuildError::Params { id: id(), problem };
+    let loaded = NetworkMethod::load(plan, reconstruction, slots).map_err(|e| match e {
+        LoadError::Network(problem) => BuildError::Network { id: id(), problem },
+        LoadError::Params(problem) => params(problem),
+    })?;
+    match (loaded, row) {
+        (Some(network), _) => Ok(Box::new(network)),
+        (None, Some(row)) => {
+            for info in row.kind.params {
+                info.check(&r.params).map_err(params)?;
+            }
+            (row.make)(plan.sensor, slots, &r.params).map_err(params)
+        }
+        (None, None) => Err(BuildError::Plan {
+            id: id(),
+            problem: "it is neither a kind nor a network".to_owned(),
+        }),
+    }
 }
 
 fn check_sizes(plan: &Plan, channels: usize, order: ChannelOrder) -> Result<(), String> {
@@ -304,6 +342,7 @@ impl Reconstruct {
         all: Option<Reason>,
         outlet: &mut dyn Outlet<Frames>,
     ) -> Result<(), StageError> {
+        let mut failed = None;
         for window in 0..self.segments.windows.len() {
             let extractors = self.wanted(window, &header.members);
             if header.closes >> window & 1 == 0 || extractors == 0 {
@@ -314,6 +353,13 @@ impl Reconstruct {
                 Some(reason) => Err(reason),
                 None => self.held.window(segment, len, &mut self.rendered),
             };
+            let gathered = gathered.and_then(|events| {
+                let prepared = self.method.prepare(window, header.tick, &self.rendered);
+                prepared.map(|()| events).map_err(|problem| {
+                    failed = Some(problem);
+                    Reason::Failed
+                })
+            });
             let mut frame = FrameHeader {
                 tick: header.tick,
                 epoch: header.epoch,
@@ -339,7 +385,13 @@ impl Reconstruct {
                 }
             }
         }
-        Ok(())
+        match failed {
+            None => Ok(()),
+            Some(problem) => Err(StageError::Skip(format!(
+                "reconstruction \"{}\": tick {}: {problem}",
+                self.id, header.tick
+            ))),
+        }
     }
 }
 

@@ -15,9 +15,11 @@ mod event_count_no_polarity;
 mod frames;
 mod held;
 mod method;
+mod network;
 mod pixels;
 mod registry;
 mod time_surface;
+mod voxels;
 
 pub use driver::{BuildError, Reconstruct, build};
 pub use frames::{ReadFrames, build_frames};

@@ -19,6 +19,16 @@ pub(crate) trait Method: Send {
     /// Empties a slot.
     fn clear(&mut self, slot: usize);
 
+    /// Does beforehand what [`Method::render`] of these slots cannot fail at any more; a window of the plan, and the
+    /// tick with which it closes. Most methods have nothing to do.
+    ///
+    /// # Errors
+    /// One line: why there is no image of this window.
+    fn prepare(&mut self, window: usize, tick: u64, slots: &[usize]) -> Result<(), String> {
+        let _ = (window, tick, slots);
+        Ok(())
+    }
+
     /// Renders the events of these slots, given in stream order, as one image of the sensor's size. Writes every
     /// byte of `out` (height × width × channels, row-major, channels interleaved). At least one event is in them.
     fn render(&mut self, slots: &[usize], out: &mut [u8]);

@@ -95,6 +95,15 @@ pub trait Stage {
         outlet: &mut dyn Outlet<Self::Out>,
     ) -> Result<(), StageError>;
 
+    /// Called when no message waits any more: gives what it held back in order to do several at once.
+    ///
+    /// # Errors
+    /// As [`Stage::process`].
+    fn flush(&mut self, outlet: &mut dyn Outlet<Self::Out>) -> Result<(), StageError> {
+        let _ = outlet;
+        Ok(())
+    }
+
     /// Events counted so far, for the stats; 0 where that means nothing.
     fn events(&self) -> u64 {
         0

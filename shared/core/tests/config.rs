@@ -4,8 +4,11 @@
 #![allow(clippy::panic, clippy::unwrap_used)] // helpers of tests are tests
 
 use evpr_core::Plan;
-use evpr_core::config::{Overrides, parse, test_catalog};
-use evpr_core::plan::{Crop, PositionClock, PositionCompat, PositionKind, Positions, Sensor, UtmZone};
+use evpr_core::config::{Overrides, parse, registry_path, test_catalog};
+use evpr_core::plan::{
+    Crop, Inference, Network, PositionClock, PositionCompat, PositionKind, Positions, Provider, Sensor,
+    UtmZone,
+};
 use std::path::{Path, PathBuf};
 
 fn root() -> PathBuf {
@@ -149,6 +152,67 @@ fn live_windows_ascend_and_parameters_arrive() {
     assert_eq!(plan.extractors[0].dim, 49);
     assert_eq!((plan.deadline_ns, plan.fuse.length), (50_000_000, 1));
     assert_eq!(plan.name, "live-1");
+}
+
+#[test]
+fn networks_are_entries_of_the_registry_and_share_the_cores() {
+    let plan = named("tests/config/valid/networks.toml");
+    let [carry, reset] = plan.reconstructions.as_slice() else {
+        panic!("{:?}", plan.reconstructions);
+    };
+    assert_eq!(
+        (carry.kind.as_str(), carry.params.text("state")),
+        ("e2vid", "carry")
+    );
+    assert_eq!(
+        (reset.kind.as_str(), reset.params.text("state")),
+        ("e2vid", "reset")
+    );
+    assert_eq!((carry.optional, reset.optional), (false, true));
+    assert_eq!((carry.channels, carry.masks_hot_pixels), (1, true));
+    // Three cores for three networks.
+    let threads = |network: &Option<Network>| network.as_ref().map(|n| (n.threads, n.batch));
+    assert_eq!(threads(&carry.network), Some((1, None)));
+    assert_eq!(threads(&plan.extractors[0].network), Some((4, Some(8))));
+    assert_eq!(
+        (plan.extractors[0].dim, &plan.extractors[1].network),
+        (4096, &None)
+    );
+    let expected = Inference {
+        library: Some(PathBuf::from("/opt/libonnxruntime.so")),
+        providers: vec![Provider::Cuda, Provider::Cpu],
+        fallback: true,
+        spinning: true,
+    };
+    assert_eq!(plan.inference, expected);
+    // What the network is belongs to what its rows are.
+    let print = plan.fingerprint(0);
+    let sha256 = plan.extractors[0].network.as_ref().map(|n| &n.model.sha256);
+    assert_eq!(print.get("extractor.network.sha256"), sha256);
+    assert_eq!(
+        print.get("extractor.network.mean").map(String::as_str),
+        Some("0.485,0.456,0.406")
+    );
+    assert_eq!(
+        print.get("reconstruction.state").map(String::as_str),
+        Some("carry")
+    );
+    assert!(print.contains_key("reconstruction.network.sha256"), "{print:?}");
+}
+
+#[test]
+fn the_registry_s_path_is_found_before_the_configuration_is_checked() {
+    let text = std::fs::read_to_string(root().join("tests/config/valid/networks.toml")).unwrap();
+    assert_eq!(registry_path(&text), PathBuf::from("elsewhere.toml"));
+    for text in [
+        "",
+        "[inference]\n",
+        "[inference]\nmodels = 3\n",
+        "inference = 3",
+        "[inference",
+    ] {
+        assert_eq!(registry_path(text), PathBuf::from("models/models.toml"), "{text}");
+    }
 }
 
 #[test]

@@ -190,7 +190,7 @@ fn a_number_that_is_not_finite_fails() {
     }
     for value in [f32::NAN, f32::INFINITY] {
         let mut stage = build(&plan(), 0).unwrap();
-        stage.kind = Box::new(Bad(value));
+        stage.engine = Engine::Kind(Box::new(Bad(value)), vec![0.0; stage.dim]);
         let (emitted, skipped) = process(&mut stage, &frame(0), &PIXELS);
         assert_eq!(
             (emitted[0].0.reason, emitted[0].1.len()),

@@ -20,6 +20,8 @@ pub fn plan(dims: &[usize], length: usize) -> Plan {
             kind: "raw_pixels".into(),
             dim: *dim,
             params: Params::default(),
+            optional: false,
+            network: None,
         })
         .collect();
     plan.members = (0..dims.len())

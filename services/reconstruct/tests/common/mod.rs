@@ -54,6 +54,8 @@ pub(crate) fn plan(
             kind: "raw_pixels".to_owned(),
             dim: 3,
             params: Params::default(),
+            optional: false,
+            network: None,
         };
         extractors
     ];
@@ -80,6 +82,8 @@ pub(crate) fn reconstruction(kind: &str) -> Reconstruction {
         channels: info.channel_order.channels(),
         masks_hot_pixels: info.masks_hot_pixels,
         params: Params(params.map(|p| (p.name.to_owned(), p.default_value())).collect()),
+        optional: false,
+        network: None,
     }
 }
 

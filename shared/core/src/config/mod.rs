@@ -6,6 +6,7 @@
 
 mod error;
 mod frames;
+mod inference;
 mod members;
 mod noise;
 mod positions;
@@ -20,18 +21,20 @@ mod test_catalog;
 mod words;
 
 pub use error::{ConfigError, ConfigErrors};
+pub use inference::{DEFAULT_REGISTRY, registry_path};
 pub use positions::parse_zone;
 pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
     ALIGNS, CROPS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR,
-    POSITION_COMPATS, POSITION_KINDS, RAW_FORMATS, RULES, SEQUENCE_METHODS, SIMILARITIES, SLICE_MODES,
-    STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
+    POSITION_COMPATS, POSITION_KINDS, PROVIDERS, RAW_FORMATS, RULES, SEQUENCE_METHODS, SIMILARITIES,
+    SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
 };
 
 use crate::plan::{
-    Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, LiveSource, Member, OnBadEvent,
-    OnOtherSize, Pace, Plan, Positions, Reconstruction, Sensor, Slicing, Source, Street, StreetPass,
+    Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Inference, LiveSource, Member,
+    OnBadEvent, OnOtherSize, Pace, Plan, Positions, Reconstruction, Sensor, Slicing, Source, Street,
+    StreetPass,
 };
 use positions::PositionsSection;
 use reader::Table;
@@ -52,6 +55,7 @@ pub struct Config {
     extractors: Vec<Extractor>,
     members: Vec<Member>,
     fuse: Fuse,
+    inference: Inference,
     runtime: RuntimeSection,
     /// Where to point when the sensor or the recording turns out to be wrong or missing.
     places: Places,
@@ -88,7 +92,7 @@ pub struct Overrides {
 /// # Errors
 /// All mistakes: in the syntax, unknown keys, wrong types, values out of range, names of things that do not exist,
 /// and what contradicts itself.
-pub fn parse(text: &str, file: &str, catalog: &Catalog) -> Result<Config, ConfigErrors> {
+pub fn parse(text: &str, file: &str, catalog: &Catalog<'_>) -> Result<Config, ConfigErrors> {
     let document = syntax::parse(text);
     let sink = Sink::new(text, file);
     let config = read(&sink, Table::root(&sink, &document.table), catalog);
@@ -106,7 +110,7 @@ pub fn parse(text: &str, file: &str, catalog: &Catalog) -> Result<Config, Config
 }
 
 /// Every key of the configuration, in the order of the sections. The parameters of a kind are in the [`Catalog`].
-pub fn key_reference(catalog: &Catalog) -> Vec<KeyDoc> {
+pub fn key_reference(catalog: &Catalog<'_>) -> Vec<KeyDoc> {
     let example = "[[reconstruction]]\n[[extractor]]\n";
     let document = syntax::parse(example);
     let sink = Sink::new(example, "");
@@ -114,7 +118,7 @@ pub fn key_reference(catalog: &Catalog) -> Vec<KeyDoc> {
     sink.keys()
 }
 
-fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Config> {
+fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<Config> {
     let name = schema::run(root.section("run"));
     let sensor_table = root.section("sensor");
     let sensor_at = sensor_table.at.clone();
@@ -136,17 +140,20 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
             .map_or(FrameTicks::Time, |source| source.frames.ticks)
     });
     let slicing = slicing::slicing(root.section("slicing"), frames);
-    let reconstructions = stages::reconstructions(&root, catalog);
+    let mut reconstructions = stages::reconstructions(&root, catalog);
     for (at, kind) in &reconstructions.kinds {
         frames::check_reconstruction(sink, at, kind, source_kind);
     }
-    let extractors = stages::extractors(&root, catalog);
+    let mut extractors = stages::extractors(&root, catalog);
+    let (of_frames, of_rows) = (reconstructions.stages.as_mut(), extractors.stages.as_mut());
+    stages::deal_threads(of_frames, of_rows, catalog.cores);
     if let (Some(source), Some(stages)) = (&source, &reconstructions.stages) {
         noise::check_masking(sink, source.hot_pixels.as_ref(), stages);
     }
     let parts = members::Parts::new(&reconstructions, slicing.as_ref(), &extractors);
     let members = members::ensemble(root.section("ensemble"), &parts);
     let fuse = schema::fuse(root.section("fuse"));
+    let inference = inference::inference(root.section("inference"));
     let runtime = schema::runtime(root.section("runtime"));
     root.close();
     let positions = positions?;
@@ -160,6 +167,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog) -> Option<Confi
         extractors: extractors.stages?,
         members: members?,
         fuse: fuse?,
+        inference: inference?,
         runtime: runtime?,
         places: Places {
             sensor: sink.error(&sensor_at, ""),
@@ -377,6 +385,7 @@ impl Config {
             extractors: self.extractors.clone(),
             members: self.members.clone(),
             fuse: self.fuse.clone(),
+            inference: self.inference.clone(),
             delivery: overrides.delivery.unwrap_or(self.runtime.delivery),
             deadline_ns: self.runtime.deadline_ns,
             map: overrides.map.clone(),

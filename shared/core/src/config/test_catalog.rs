@@ -1,7 +1,11 @@
 //! A catalog for tests: what the kinds of the real one look like, without the code behind them.
 
 use crate::message::ChannelOrder;
-use crate::plan::{Catalog, ExtractorKind, ParamInfo, ParamKind, Params, ReconstructionKind};
+use crate::plan::{
+    Catalog, Color, ExtractorKind, InputSize, Model, ModelKind, Models, ParamInfo, ParamKind, Params,
+    Preprocessing, ReconstructionKind, Resize,
+};
+use std::sync::OnceLock;
 
 const fn side(name: &'static str, default: i64, doc: &'static str) -> ParamInfo {
     ParamInfo {
@@ -105,12 +109,51 @@ const EXTRACTORS: &[ExtractorKind] = &[
     },
 ];
 
+/// The networks `mixvpr` and `e2vid`.
+fn models() -> Vec<Model> {
+    let model = |id: &str, output: &str, kind| Model {
+        id: id.to_owned(),
+        file: format!("models/{id}.onnx").into(),
+        sha256: "0123456789abcdef".repeat(4),
+        output: output.to_owned(),
+        kind,
+        licence: "MIT".to_owned(),
+        source: "nowhere".to_owned(),
+    };
+    let extractor = ModelKind::Extractor {
+        preprocessing: Preprocessing {
+            input: InputSize::Native,
+            resize: Resize::None,
+            color: Color::Rgb,
+            range: 1.0,
+            mean: vec![0.485, 0.456, 0.406],
+            std: vec![0.229, 0.224, 0.225],
+        },
+        dimension: 4096,
+    };
+    let reconstruction = ModelKind::Reconstruction {
+        bins: 5,
+        multiple: 8,
+        states: vec!["h0".to_owned(), "c0".to_owned()],
+    };
+    vec![
+        model("mixvpr", "descriptor", extractor),
+        model("e2vid", "image", reconstruction),
+    ]
+}
+
 /// Kinds named like those of the stages' crates: `event_count`, `event_count_no_polarity`, `time_surface`,
-/// `frames`, `patch_norm`, `raw_pixels` and `hog`.
+/// `frames`, `patch_norm`, `raw_pixels` and `hog`; the networks `mixvpr` and `e2vid`; and three cores.
 #[doc(hidden)]
-pub fn test_catalog() -> Catalog {
+pub fn test_catalog() -> Catalog<'static> {
+    static MODELS: OnceLock<Vec<Model>> = OnceLock::new();
     Catalog {
         reconstructions: RECONSTRUCTIONS,
         extractors: EXTRACTORS,
+        models: Models {
+            models: MODELS.get_or_init(models),
+            registry: "models/models.toml",
+        },
+        cores: 3,
     }
 }

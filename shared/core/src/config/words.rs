@@ -3,7 +3,7 @@
 
 use crate::plan::{
     Align, Crop, Delivery, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace, PositionCompat,
-    PositionKind, Rule, SequenceMethod, Similarity, SliceMode, StackOrder, StreetPass, TimeUnit,
+    PositionKind, Provider, Rule, SequenceMethod, Similarity, SliceMode, StackOrder, StreetPass, TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -34,6 +34,14 @@ impl<'w, T: Copy> Words<'w, T> {
     }
 }
 
+/// `inference.providers`.
+pub const PROVIDERS: Words<'static, Provider> = Words(&[
+    ("tensorrt", Provider::Tensorrt),
+    ("cuda", Provider::Cuda),
+    ("openvino", Provider::Openvino),
+    ("xnnpack", Provider::Xnnpack),
+    ("cpu", Provider::Cpu),
+]);
 /// `slicing.mode`.
 pub const SLICE_MODES: Words<'static, SliceMode> =
     Words(&[("time", SliceMode::Time), ("count", SliceMode::Count)]);

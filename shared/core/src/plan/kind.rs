@@ -1,7 +1,7 @@
 //! What a binary knows how to do: the kinds of reconstructions and extractors with their parameters. The crates of
 //! the stages fill these in; the configuration is checked against them.
 
-use super::{ParamValue, Params};
+use super::{Models, ParamValue, Params};
 use crate::message::ChannelOrder;
 
 /// What values a parameter takes, and which one it has when the configuration does not name it.
@@ -128,13 +128,28 @@ pub struct ExtractorKind {
     pub dim: fn(&Params) -> Result<usize, String>,
 }
 
-/// Everything that the binary knows.
+/// The parameters of a reconstruction that is a network.
+pub const NETWORK_PARAMS: &[ParamInfo] = &[ParamInfo {
+    name: "state",
+    kind: ParamKind::Choice {
+        default: "reset",
+        options: &["reset", "carry"],
+    },
+    doc: "the network's memory: reset before every frame (the paper), or carried from tick to tick, window by window, \
+          and reset where a tick is missing",
+}];
+
+/// Everything that a configuration is checked against.
 #[derive(Debug, Clone, Copy)]
-pub struct Catalog {
-    /// Methods of reconstruction.
+pub struct Catalog<'a> {
+    /// Methods of reconstruction that the binary knows.
     pub reconstructions: &'static [ReconstructionKind],
-    /// Kinds of extractors.
+    /// Kinds of extractors that the binary knows.
     pub extractors: &'static [ExtractorKind],
+    /// Networks that the registry of models has.
+    pub models: Models<'a>,
+    /// Cores to share out among the networks.
+    pub cores: usize,
 }
 
 #[cfg(test)]

@@ -4,6 +4,7 @@
 mod channels;
 mod frames;
 mod kind;
+mod model;
 mod noise;
 mod positions;
 mod slicing;
@@ -12,6 +13,10 @@ mod source;
 pub use channels::{Channel, Topic};
 pub use frames::{FRAMES, FrameSource, FrameTicks, OnOtherSize, StackOrder};
 pub use kind::*;
+pub use model::{
+    Color, Inference, InputSize, Model, ModelKind, Models, Network, Preprocessing, Provider, Resize,
+    threads_of,
+};
 pub use noise::{Filters, HotPixelRule, HotPixels, HotPixelsFrom, MaskedBy, Pixel};
 pub use positions::{
     Crop, DEFAULT_MAX_GAP_NS, PositionClock, PositionCompat, PositionKind, Positions, UtmZone,
@@ -114,6 +119,12 @@ pub struct Reconstruction {
     /// Whether its kind leaves hot pixels out by itself, as [`ReconstructionKind::masks_hot_pixels`].
     #[serde(default)]
     pub masks_hot_pixels: bool,
+    /// Whether the rest goes on without it.
+    #[serde(default)]
+    pub optional: bool,
+    /// The network, where it is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<Network>,
 }
 
 /// One extractor of the plan.
@@ -127,6 +138,12 @@ pub struct Extractor {
     pub dim: usize,
     /// The kind's parameters.
     pub params: Params,
+    /// Whether the rest goes on without it.
+    #[serde(default)]
+    pub optional: bool,
+    /// The network, where it is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<Network>,
 }
 
 /// One member of the ensemble: reconstruction @ window / extractor.
@@ -224,6 +241,9 @@ pub struct Plan {
     pub members: Vec<Member>,
     /// What the fuser does.
     pub fuse: Fuse,
+    /// How networks are run.
+    #[serde(default)]
+    pub inference: Inference,
     /// How processes hand data on.
     pub delivery: Delivery,
     /// Latest delivery: the answer is due this long after the tick's last window closed, ns.
@@ -347,6 +367,11 @@ impl Plan {
         for (key, value) in self.source.noise_fingerprint(r) {
             put(key, value);
         }
+        for (stage, network) in [("reconstruction", &r.network), ("extractor", &e.network)] {
+            for (key, value) in network.iter().flat_map(|network| network.model.fingerprint()) {
+                put(&format!("{stage}.{key}"), value);
+            }
+        }
         for (key, value) in &r.params.0 {
             put(&format!("reconstruction.{key}"), value.to_string());
         }
@@ -367,6 +392,8 @@ pub fn test_plan() -> Plan {
         channels: 1,
         params: Params::default(),
         masks_hot_pixels: false,
+        optional: false,
+        network: None,
     };
     let member = |r: usize, id: &str| Member {
         name: format!("{id}@1ms/x"),
@@ -393,6 +420,8 @@ pub fn test_plan() -> Plan {
             kind: "raw_pixels".to_owned(),
             dim: 3,
             params: Params::default(),
+            optional: false,
+            network: None,
         }],
         members: vec![member(0, "a"), member(1, "b")],
         fuse: Fuse {
@@ -403,6 +432,7 @@ pub fn test_plan() -> Plan {
             top: 5,
             exclusion: 5,
         },
+        inference: Inference::default(),
         delivery: Delivery::Lossless,
         deadline_ns: 1_000_000_000,
         map: Some(PathBuf::from("map")),

@@ -61,6 +61,19 @@ impl<S: Stage> Loop<'_, S> {
         Ok(())
     }
 
+    /// Lets the stage give what it held back, as nothing waits.
+    fn flush(&mut self, ctx: &mut ServiceContext) -> Result<(), StageError> {
+        let started = now_ns();
+        let sent = self.sender.sent;
+        let outcome = self.stage.flush(&mut self.sender);
+        if self.sender.sent > sent {
+            let stats = &mut ctx.telemetry.stats;
+            stats.processing.record(now_ns().saturating_sub(started));
+            stats.emitted = self.sender.sent;
+        }
+        self.judge(ctx, outcome)
+    }
+
     fn take(&mut self, ctx: &mut ServiceContext, message: &Incoming<S::In>) -> Result<(), StageError> {
         let header = message.header();
         let started = now_ns();
@@ -80,11 +93,16 @@ impl<S: Stage> Loop<'_, S> {
         stats.processing.record(now_ns().saturating_sub(started));
         stats.emitted = self.sender.sent;
         stats.events = self.stage.events();
+        self.judge(ctx, outcome)
+    }
+
+    /// Goes on after what only one message is to blame for.
+    fn judge(&mut self, ctx: &mut ServiceContext, outcome: Result<(), StageError>) -> Result<(), StageError> {
         match outcome {
             Err(StageError::Skip(what)) => {
-                stats.skipped += 1;
+                ctx.telemetry.stats.skipped += 1;
                 if let Some(held_back) = self.warnings.pass() {
-                    warn!(tick = header.tick(), held_back, "{what}");
+                    warn!(held_back, "{what}");
                 }
                 Ok(())
             }
@@ -144,6 +162,12 @@ pub fn run_stage<S: Stage>(
                         Ok(()) | Err(StageError::Stopped) => {}
                         Err(e) => return Err(RuntimeError::Stage(e.to_string())),
                     }
+                }
+            }
+            if !came {
+                match state.flush(&mut ctx) {
+                    Ok(()) | Err(StageError::Stopped) => {}
+                    Err(e) => return Err(RuntimeError::Stage(e.to_string())),
                 }
             }
             let stats = &mut ctx.telemetry.stats;

@@ -1,7 +1,7 @@
 //! The plan of one reconstruction of a recording.
 
 use crate::args::{AlignArg, ReconstructArgs};
-use crate::catalog::CATALOG;
+use crate::catalog::Networks;
 use crate::commands::parse_sensor;
 use crate::failure::Failure;
 use evpr_core::Plan;
@@ -68,7 +68,9 @@ pub(super) fn offline_plan(args: &ReconstructArgs) -> Result<Plan, Failure> {
             args.input.display()
         ))
     })?;
-    let config = config::parse(&as_config(args, sensor), "command line", &CATALOG).map_err(Failure::usage)?;
+    let networks = Networks::read(&args.models)?;
+    let text = as_config(args, sensor);
+    let config = config::parse(&text, "command line", &networks.catalog()).map_err(Failure::usage)?;
     let overrides = Overrides {
         input: Some(args.input.clone()),
         ..Overrides::default()

@@ -97,6 +97,7 @@ pub(super) fn render(args: &RenderArgs) -> Result<ExitCode, Failure> {
     let plan = offline_plan(&ReconstructArgs {
         input: args.input.clone(),
         method: args.method.clone(),
+        models: args.models.clone(),
         window: args.window,
         tick: args.tick.unwrap_or(args.window),
         align: AlignArg::Start,
