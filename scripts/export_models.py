@@ -13,10 +13,13 @@ network's name it runs in the Python it was called with.
 import argparse
 import hashlib
 import os
+import re
 import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+
+from networks import NETWORKS, SIZE, Failure, note
 
 SCRIPTS = Path(__file__).resolve().parent
 ROOT = SCRIPTS.parent
@@ -74,13 +77,13 @@ def size(text):
         raise argparse.ArgumentTypeError(f"'{text}' is not HEIGHTxWIDTH in pixels, 8 to 4096") from None
 
 
-def arguments(networks):
+def arguments():
     parser = argparse.ArgumentParser(
         prog="export_models.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--python", action="store_true", help="run in this Python, without a virtual environment")
     commands = parser.add_subparsers(dest="network", required=True, metavar="NETWORK")
-    for network in networks.values():
+    for network in NETWORKS.values():
         weights = f"Weights: {network.url}\nLicence: {network.licence}"
         command = commands.add_parser(
             network.name,
@@ -88,18 +91,19 @@ def arguments(networks):
             description=f"{network.about}\n\n{weights}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
-        images = network.name not in ("e2vid", "firenet")
-        seen = "frames: an .npy stack, or a folder of .npy or .png" if images else "voxel grids (T, bins, H, W): an .npy"
+        seen = "frames: an .npy stack, or a folder of .npy or .png"
+        if not network.extractor:
+            seen = "voxel grids (T, bins, H, W): an .npy"
         one = command.add_mutually_exclusive_group()
         one.add_argument("--weights", type=Path, metavar="FILE", help="the authors' weights")
         one.add_argument("--random", type=int, metavar="SEED", help="random weights, for tests and timing")
         command.add_argument("--unpickle", action="store_true", help="read FILE as any pickle: this runs what is in it")
-        command.add_argument("--size", type=size, default=network.size, metavar="HxW", help="of the frames; default 260x346")
+        command.add_argument("--size", type=size, default=SIZE, metavar="HxW", help="of the frames; default 260x346")
         command.add_argument("--out", type=Path, default=ROOT / "models", metavar="DIR", help="default: models/ of this checkout")
         command.add_argument("--id", help="the entry's id and the file's name; default: the network's name and variant")
         command.add_argument("--int8", action="store_true", help="quantise to 8 bit; needs --calibration, but for megaloc")
         command.add_argument("--calibration", type=Path, metavar="PATH", help=seen)
-        if not images:
+        if not network.extractor:
             command.add_argument("--check", type=Path, metavar="NPZ", help="compare with a file's outputs y for its inputs x, in order")
         else:
             command.add_argument("--batch", action="store_true", help="any number of images at once")
@@ -112,29 +116,32 @@ def arguments(networks):
     return parser.parse_args()
 
 
-def choose_weights(network, options):
-    """(checkpoint or None, what identifies the weights, licence, source); exits where none are named."""
-    import torch
-
-    import model_registry
-
+def find_weights(network, options):
+    """What identifies the weights, their licence and their source; fails where no weights are named."""
     if options.random is not None:
-        torch.manual_seed(options.random)
-        return None, f"random:{options.random}", "none needed", f"random weights, seed {options.random}"
-    if options.weights is None and network.packaged:
-        options.weights = network.packaged(cache())
+        return f"random:{options.random}", "none needed", f"random weights, seed {options.random}"
     if options.weights is None:
         digest = f"SHA-256 {network.sha256}" if network.sha256 else "its SHA-256 is not known here; the export records it"
-        fail(
+        raise Failure(
             f"{network.name} needs its weights: download {network.url} and pass --weights FILE, or --random SEED "
             f"(licence: {network.licence}; {digest})"
         )
     if not options.weights.is_file():
-        fail(f"{options.weights}: no such file")
-    digest = model_registry.sha256_of(options.weights)
+        raise Failure(f"{options.weights}: no such file")
+    with open(options.weights, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     if network.sha256 and digest != network.sha256:
-        print(f"export_models: {options.weights} has SHA-256 {digest}, not the {network.sha256} that is known", file=sys.stderr)
-    return network.checkpoint(options), digest, network.licence, network.url
+        note(f"{options.weights} has SHA-256 {digest}, not the {network.sha256} that is known")
+    return digest, network.licence, network.url
+
+
+def refuse_early(network, options):
+    if options.int8 and network.name == "firenet":
+        raise Failure("firenet gains nothing from 8 bit: leave out --int8")
+    if options.int8 and network.name != "megaloc" and options.calibration is None:
+        raise Failure("--int8 needs --calibration PATH: frames, or voxel grids, of the kind the network will see")
+    if options.id and not re.fullmatch(r"[A-Za-z0-9_-]+", options.id):
+        raise Failure(f"--id '{options.id}': letters, digits, - and _ only")
 
 
 def variant_id(options):
@@ -143,45 +150,65 @@ def variant_id(options):
     return "_".join(parts)
 
 
-def main():
-    if "--python" not in sys.argv[1:]:
-        into_environment()
-    try:
-        from networks import NETWORKS, onnx_file, quantise
-        from networks.network import Failure, note
-    except ImportError as error:
-        fail(f"{error}: install {REQUIREMENTS}, or leave out --python")
+def export(network, options):
     import torch
 
     import model_registry
+    from networks import onnx_file, quantise, weights
 
     torch.set_num_threads(onnx_file.THREADS)
-    options = arguments(NETWORKS)
+    builder = network.builder()
+    if options.weights is None and options.random is None and hasattr(builder, "packaged"):
+        options.weights = builder.packaged(cache())
+    identity, licence, source = find_weights(network, options)
+    if options.random is None:
+        checkpoint = getattr(builder, "read", weights.read_torch)(options.weights, options.unpickle)
+    else:
+        torch.manual_seed(options.random)
+        checkpoint = None
+    module = builder.build(options, checkpoint).eval()
+    entry = builder.entry(options, module, licence, source)
+    parameters, multiplications = onnx_file.count(module)
+    note(f"{options.network}: {parameters / 1e6:.2f} M parameters, {multiplications / 1e9:.2f} GMAC")
+    if getattr(options, "check", None):
+        onnx_file.check_steps(module, options.check)
+
+    name = options.id or variant_id(options)
+    path = options.out / f"{name}.onnx"
+    options.out.mkdir(parents=True, exist_ok=True)
+    batch = getattr(options, "batch", False)
+    model = onnx_file.export(module, batch)
+    if options.int8:
+        model = quantise.quantise(model, module, entry, options)
+        entry["source"] += "; 8 bit by scripts/export_models.py"
+    temporary = onnx_file.save(model, model_registry.metadata(entry, identity), path)
+    try:
+        if options.int8:
+            quantise.compare(module, temporary, entry, options)
+        else:
+            onnx_file.compare(module, temporary, batch)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    model_registry.put(options.out / "models.toml", name, path, entry)
+    note(f'{path}: {path.stat().st_size / 1e6:.1f} MB, entry "{name}" in {options.out / "models.toml"}')
+
+
+def main():
+    if sys.version_info < (3, 11):
+        fail(f"Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
+    options = arguments()
     network = NETWORKS[options.network]
     try:
-        checkpoint, identity, licence, source = choose_weights(network, options)
-        module = network.build(options, checkpoint).eval()
-        entry = network.entry(options, module, licence, source)
-        parameters, multiplications = onnx_file.count(module)
-        note(f"{options.network}: {parameters / 1e6:.2f} M parameters, {multiplications / 1e9:.2f} GMAC")
-        if getattr(options, "check", None):
-            onnx_file.check_steps(module, options.check)
-
-        name = options.id or variant_id(options)
-        path = options.out / f"{name}.onnx"
-        options.out.mkdir(parents=True, exist_ok=True)
-        model = onnx_file.export(module, getattr(options, "batch", False))
-        if options.int8:
-            model = quantise.quantise(model, module, entry, options)
-            entry["source"] += "; 8 bit by scripts/export_models.py"
-        onnx_file.save(model, model_registry.metadata(entry, identity), path)
-        if options.int8:
-            quantise.compare(module, path, entry, options)
-        else:
-            onnx_file.compare(module, path, getattr(options, "batch", False))
-        model_registry.put(options.out / "models.toml", name, path, entry)
-        note(f"{path}: {path.stat().st_size / 1e6:.1f} MB, entry \"{name}\" in {options.out / 'models.toml'}")
-    except (Failure, NotImplementedError, OSError) as error:
+        refuse_early(network, options)
+        if options.random is not None or options.weights is not None or not network.packaged:
+            find_weights(network, options)
+        if not options.python:
+            into_environment()
+        export(network, options)
+    except ImportError as error:
+        fail(f"{error}: install {REQUIREMENTS}, or leave out --python")
+    except (Failure, OSError) as error:
         fail(str(error))
 
 

@@ -8,8 +8,9 @@ import torchvision
 from torch import nn
 
 import model_registry
+
 from .layers import GeM, L2Norm, extractor_io
-from .network import Network, load_strictly, state_of
+from .weights import load_strictly, state_of
 
 DIMENSION = 2048
 
@@ -33,15 +34,3 @@ def build(options, checkpoint):
 
 def entry(options, module, licence, source):
     return model_registry.extractor(dimension=DIMENSION, licence=licence, source=source)
-
-
-NETWORK = Network(
-    name="cosplace",
-    about="CosPlace, ResNet-50; 2048 values; 27.7 M parameters",
-    size=(260, 346),
-    url="https://github.com/gmberton/CosPlace/releases/download/v1.0/ResNet50_2048_cosplace.pth",
-    licence="MIT (of https://github.com/gmberton/CosPlace)",
-    sha256=None,
-    build=build,
-    entry=entry,
-)

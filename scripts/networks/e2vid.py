@@ -8,7 +8,10 @@ import torch
 from torch import nn
 
 import model_registry
-from .network import Network, load_strictly, multiple_of, state_of
+
+from . import Failure
+from .layers import multiple_of
+from .weights import load_strictly, state_of
 
 BINS, BASE, ENCODERS, RESIDUALS = 5, 32, 3, 2
 # E2VID_lightweight; a checkpoint carries its own.
@@ -161,7 +164,7 @@ def config_of(checkpoint):
     if config["norm"] in ("None", "none", ""):
         config["norm"] = None
     if config["skip_type"] != "sum" or config["recurrent_block_type"] != "convlstm":
-        raise NotImplementedError("only sum skips and ConvLSTM, as in E2VID_lightweight, are known")
+        raise Failure("only sum skips and ConvLSTM, as in E2VID_lightweight, are known")
     return config
 
 
@@ -207,15 +210,3 @@ def prove_equal(whole, shape, encoders, base):
 def entry(options, module, licence, source):
     states = [name for name in module.inputs if name != "voxel"]
     return model_registry.reconstruction(multiple=module.multiple, states=states, licence=licence, source=source)
-
-
-NETWORK = Network(
-    name="e2vid",
-    about="E2VID_lightweight, events to image; 10.7 M parameters",
-    size=(260, 346),
-    url="http://rpg.ifi.uzh.ch/data/E2VID/models/E2VID_lightweight.pth.tar",
-    licence="GPL-3.0 (of https://github.com/uzh-rpg/rpg_e2vid)",
-    sha256=None,
-    build=build,
-    entry=entry,
-)

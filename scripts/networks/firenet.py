@@ -8,8 +8,10 @@ import torch
 from torch import nn
 
 import model_registry
+
 from .e2vid import Residual, Step
-from .network import Network, load_strictly, multiple_of, state_of
+from .layers import multiple_of
+from .weights import load_strictly, state_of
 
 BINS, BASE, MULTIPLE = 5, 16, 8
 
@@ -59,15 +61,3 @@ def build(options, checkpoint):
 
 def entry(options, module, licence, source):
     return model_registry.reconstruction(multiple=MULTIPLE, states=["state0", "state1"], licence=licence, source=source)
-
-
-NETWORK = Network(
-    name="firenet",
-    about="FireNet, events to image; 38 thousand parameters",
-    size=(260, 346),
-    url="https://github.com/ercanburak/EVREAL (pretrained/FireNet), or its arrays by name in an .npz",
-    licence="GPL-3.0 (of the authors' code)",
-    sha256=None,
-    build=build,
-    entry=entry,
-)

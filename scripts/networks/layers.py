@@ -49,3 +49,8 @@ def extractor_io(module, size):
     module.inputs = {"image": (1, 3, *size)}
     module.outputs = ["descriptor"]
     return module
+
+
+def multiple_of(step, length):
+    """The next multiple of `step`, upwards."""
+    return -(-length // step) * step

