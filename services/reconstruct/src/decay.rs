@@ -10,8 +10,7 @@ const BLACK_AFTER_TAUS: f64 = 18.4;
 ///
 /// The level falls with age, so the 255 ages at which it changes say it all: they are computed once per frame and
 /// channel, and checked against the formula itself, so that every level is the formula's. The slope of the level is at
-/// most 255 / τ, so changes are at least τ / 255 apart: a table of buckets no longer than that has at most one change in
-/// each, and a pixel costs one look into it and no branch.
+/// most 255 / τ, so changes are at least τ / 255 apart.
 ///
 /// An *age* here is `t_last + lead − t` in µs, where the lead is τ rounded up: events up to τ after `t_last` (which a
 /// stream in order does not have) keep an age, and what is later still has s = 1 as well.
@@ -19,39 +18,21 @@ const BLACK_AFTER_TAUS: f64 = 18.4;
 pub(crate) struct Decay {
     tau_us: f64,
     lead_us: u32,
-    /// From this age on the level is 0 in every frame.
     always_black_us: u32,
-    /// From this age on the level is 0 in this frame.
-    black_us: u32,
-    shift: u32,
-    /// Per bucket of 2^shift µs: the level of its first age times 2^24, plus the offset in it (µs) from which on the
-    /// level is one less, or 2^shift where it has no change.
-    buckets: Box<[u32; BUCKETS]>,
 }
 
-/// Enough for every τ: a bucket is longer than τ / 510 (or 1 µs), and ages end at 19.4 τ.
-const BUCKETS: usize = 1 << 14;
-const LEVEL_SHIFT: u32 = 24;
-const OFFSET_MASK: u32 = (1 << LEVEL_SHIFT) - 1;
-
 impl Decay {
-    /// The longest time constant, µs. It keeps the ages that matter within u32, and a bucket within 2^24 µs.
+    /// The longest time constant, µs. It keeps the ages that matter within u32.
     pub(crate) const MAX_TAU_US: f64 = 100e6;
 
     /// For this time constant (above 0, at most [`Self::MAX_TAU_US`]), µs.
     pub(crate) fn new(tau_us: f64) -> Self {
         let lead_us = tau_us.ceil() as u32;
-        let closest_us = (tau_us / 255.0) as u32;
-        let mut decay = Self {
+        Self {
             tau_us,
             lead_us,
             always_black_us: lead_us + (BLACK_AFTER_TAUS * tau_us).ceil() as u32 + 1,
-            black_us: 0,
-            shift: closest_us.max(1).ilog2(),
-            buckets: Box::new([0; BUCKETS]),
-        };
-        decay.prepare(u32::MAX);
-        decay
+        }
     }
 
     /// The age of the last event itself, µs.
@@ -64,9 +45,9 @@ impl Decay {
         self.always_black_us
     }
 
-    /// From this age on (µs) the level is 0 in the channel made ready for.
-    pub(crate) fn black_us(&self) -> u32 {
-        self.black_us
+    /// Ages at which the level changes are no closer than this, µs (rounded down).
+    pub(crate) fn closest_us(&self) -> u32 {
+        (self.tau_us / 255.0) as u32
     }
 
     /// tanh(s) at this age.
@@ -86,9 +67,18 @@ impl Decay {
         (self.surface(age_us) / (largest + 1e-6) * 255.0).clamp(0.0, 255.0) as u8
     }
 
-    /// Makes ready for a channel whose youngest pixel has this age; `u32::MAX` when it has no event.
-    pub(crate) fn prepare(&mut self, youngest_us: u32) {
-        // `ends[l]`: ages below it have level l or more; of level 0 that is all.
+    /// The formula in a channel whose youngest pixel has this age; `u32::MAX` when it has no event.
+    #[cfg(test)]
+    pub(crate) fn level(&self, age_us: u32, youngest_us: u32) -> u8 {
+        if youngest_us == u32::MAX {
+            return 0;
+        }
+        self.formula(age_us, self.surface(youngest_us))
+    }
+
+    /// For a channel whose youngest pixel has this age (`u32::MAX` when it has no event): entry l is the age below
+    /// which the level is l or more. Of level 0 that is every age.
+    pub(crate) fn ends(&self, youngest_us: u32) -> [u32; 256] {
         let mut ends = [u32::MAX; 256];
         if youngest_us == u32::MAX {
             ends[1..].fill(0);
@@ -98,18 +88,7 @@ impl Decay {
                 ends[usize::from(level)] = self.end_of(level, largest);
             }
         }
-        self.black_us = ends[1];
-        let used = (self.black_us >> self.shift) as usize + 1;
-        let length_us = 1 << self.shift;
-        let mut level = 255;
-        for (bucket, entry) in self.buckets.iter_mut().take(used).enumerate() {
-            let first_us = (bucket as u32) << self.shift;
-            while first_us >= ends[level] {
-                level -= 1;
-            }
-            let offset_us = (ends[level] - first_us).min(length_us);
-            *entry = (level as u32) << LEVEL_SHIFT | offset_us;
-        }
+        ends
     }
 
     /// The age below which the level is `level` or more: the formula solved for the age. Where the solution is so
@@ -136,15 +115,6 @@ impl Decay {
         }
         end
     }
-
-    /// The level at this age, µs, which is at most [`Self::black_us`] (an older one has the level of that).
-    #[inline]
-    pub(crate) fn level(&self, age_us: u32) -> u8 {
-        // The mask never changes the bucket. It is there for the compiler.
-        let entry = self.buckets[(age_us >> self.shift) as usize & (BUCKETS - 1)];
-        let offset_us = age_us & ((1 << self.shift) - 1);
-        (entry >> LEVEL_SHIFT) as u8 - u8::from(offset_us >= entry & OFFSET_MASK)
-    }
 }
 
 #[cfg(test)]
@@ -152,8 +122,11 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    fn level(d: &Decay, age_us: u32) -> u8 {
-        d.level(age_us.min(d.black_us()))
+    fn level(ends: &[u32; 256], age_us: u32) -> u8 {
+        (0..=u8::MAX)
+            .rev()
+            .find(|l| age_us < ends[usize::from(*l)])
+            .unwrap_or(0)
     }
 
     /// Every age of a short time constant, and the youngest pixel anywhere.
@@ -166,24 +139,22 @@ mod tests {
             (1.5, 0),
             (900.0, 17_000),
         ] {
-            let mut d = Decay::new(tau_us);
-            d.prepare(youngest_us);
-            let largest = d.surface(youngest_us);
+            let d = Decay::new(tau_us);
+            let ends = d.ends(youngest_us);
             for age_us in youngest_us..d.always_black_us + 100 {
-                let expected = d.formula(age_us, largest);
-                assert_eq!(level(&d, age_us), expected, "τ {tau_us} µs, age {age_us}");
+                let expected = d.level(age_us, youngest_us);
+                assert_eq!(level(&ends, age_us), expected, "τ {tau_us} µs, age {age_us}");
             }
-            assert_eq!(level(&d, u32::MAX), 0);
+            assert_eq!(level(&ends, u32::MAX - 1), 0);
         }
     }
 
     #[test]
     fn the_youngest_pixel_is_white_and_a_channel_without_events_black() {
-        let mut d = Decay::new(100_000.0);
-        d.prepare(d.lead_us());
-        assert_eq!(level(&d, d.lead_us()), 254);
-        d.prepare(u32::MAX);
-        assert_eq!((level(&d, 0), level(&d, d.lead_us())), (0, 0));
+        let d = Decay::new(100_000.0);
+        assert_eq!(level(&d.ends(d.lead_us()), d.lead_us()), 254);
+        let none = d.ends(u32::MAX);
+        assert_eq!((level(&none, 0), level(&none, d.lead_us())), (0, 0));
     }
 
     proptest! {
@@ -191,11 +162,10 @@ mod tests {
 
         #[test]
         fn any_age_of_any_time_constant(tau_us in 1.0f64..1e8, youngest in 0.0f64..18.0, older in 0.0f64..20.0) {
-            let mut d = Decay::new(tau_us);
+            let d = Decay::new(tau_us);
             let youngest_us = (youngest * tau_us) as u32;
             let age_us = youngest_us.saturating_add((older * tau_us) as u32);
-            d.prepare(youngest_us);
-            prop_assert_eq!(level(&d, age_us), d.formula(age_us, d.surface(youngest_us)));
+            prop_assert_eq!(level(&d.ends(youngest_us), age_us), d.level(age_us, youngest_us));
         }
     }
 }

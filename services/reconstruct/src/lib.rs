@@ -7,12 +7,14 @@
 //! A method is one file and one row of the `registry`: it knows how to enter events into a slot and how to
 //! render consecutive slots; segments, completeness and members are the driver's affair.
 
+mod age_levels;
 mod counters;
 mod decay;
 mod driver;
 mod event_count;
 mod event_count_no_polarity;
 mod frames;
+mod gather;
 mod held;
 mod method;
 mod network;

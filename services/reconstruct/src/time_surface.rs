@@ -1,13 +1,14 @@
 //! `time_surface`: how recent the last event of each pixel and polarity is.
 
+use crate::age_levels::AgeLevels;
 use crate::decay::Decay;
 use crate::method::Method;
-use crate::pixels::{largest, render_pairs};
+use crate::pixels::largest;
 use evpr_core::message::Event;
 use evpr_core::plan::{Params, Sensor};
 
-/// Numbers that are worked on at once: stretches of so many without an event cost little.
-const RUN: usize = 32;
+/// Times that are worked on at once: merged, they stay in the nearest cache.
+const STRIP: usize = 2048;
 
 /// Channels ON, OFF, 0. The formula is [`Decay`]'s; "last" means last in stream order, and the frame's last event is
 /// the last of either polarity.
@@ -18,10 +19,9 @@ pub(crate) struct TimeSurface {
     slots: Vec<Slot>,
     /// The base that new slots take while they can, so that their times go together as they are.
     base_us: u64,
-    /// Times of the frame that is being rendered, where it has more than one slot. As [`Slot::times`].
-    merged: Vec<u32>,
-    on: Decay,
-    off: Decay,
+    /// The age of a frame's last event.
+    lead_us: u32,
+    levels: AgeLevels,
 }
 
 /// Last times of one segment.
@@ -33,6 +33,8 @@ struct Slot {
     base_us: u64,
     /// Time of the last event in stream order, µs.
     last_us: Option<u64>,
+    /// The largest of the times of ON and of OFF, where that is known without a look at all of them.
+    largest: Option<[u32; 2]>,
 }
 
 /// Which times, from their base, are kept.
@@ -88,27 +90,55 @@ fn index(event: &Event, width: usize, len: usize) -> Option<usize> {
 }
 
 impl Slot {
-    /// Enters events; returns how many lie in the sensor, and the largest `t_us` of all. Their times are right if that
-    /// one's, `base` added, is.
-    fn enter(&mut self, events: &[Event], base: u32, width: usize) -> (usize, u32) {
+    fn empty(pixels: usize) -> Self {
+        Self {
+            times: vec![0; 2 * pixels],
+            base_us: 0,
+            last_us: None,
+            largest: Some([0; 2]),
+        }
+    }
+
+    fn clear(&mut self) {
+        self.times.fill(0);
+        self.last_us = None;
+        self.largest = Some([0; 2]);
+    }
+
+    /// Enters events; returns how many lie in the sensor, and whether their times never go back. Their times are right
+    /// if the largest `t_us`, `base` added, is.
+    fn enter(&mut self, events: &[Event], base: u32, width: usize) -> (usize, bool) {
         let times = self.times.as_mut_slice();
-        let (mut entered, mut longest_us) = (0, 0);
+        let (mut entered, mut before_us, mut in_order) = (0, 0, true);
         for event in events {
-            longest_us = longest_us.max(event.t_us);
+            in_order &= before_us <= event.t_us;
+            before_us = event.t_us;
             if let Some(index) = index(event, width, times.len()) {
                 times[index] = base.wrapping_add(event.t_us);
                 entered += 1;
             }
         }
-        (entered, longest_us)
+        (entered, in_order)
     }
 
     fn accumulate(&mut self, events: &[Event], base_us: u64, width: usize, range: Range) -> usize {
         let mut entered = None;
+        let before = self.largest.take();
         if let Some(base) = range.stored(base_us, self.base_us) {
-            let (count, longest_us) = self.enter(events, base, width);
-            let latest_us = base_us.saturating_add(longest_us.into());
-            entered = range.stored(latest_us, self.base_us).map(|_| count);
+            let (count, in_order) = self.enter(events, base, width);
+            let mut times_us = events.iter().map(|e| e.t_us);
+            let longest_us = if in_order {
+                times_us.next_back()
+            } else {
+                times_us.max()
+            };
+            let latest_us = base_us.saturating_add(longest_us.unwrap_or(0).into());
+            if range.stored(latest_us, self.base_us).is_some() {
+                entered = Some(count);
+                self.largest = before
+                    .filter(|_| in_order)
+                    .and_then(|before| self.largest_after(before, events, base, width));
+            }
         }
         // Rare: many minutes between events of one segment, or as much back. What the attempt above wrote is written
         // again.
@@ -124,6 +154,28 @@ impl Slot {
             self.last_us = Some(base_us.saturating_add(last.t_us.into()));
         }
         entered
+    }
+
+    /// The largest times after these events, which are in order: of each polarity that of its last event, if all began
+    /// when everything before had been, and if that event is among the last few.
+    fn largest_after(&self, before: [u32; 2], events: &[Event], base: u32, width: usize) -> Option<[u32; 2]> {
+        const FEW: usize = 256;
+        let Some(first) = events.first() else {
+            return Some(before);
+        };
+        if base + first.t_us < before[0].max(before[1]) {
+            return None;
+        }
+        let last_few = events.iter().rev().take(FEW);
+        let last = |on: bool| {
+            let mut inside = last_few
+                .clone()
+                .filter(|e| e.on() == on && index(e, width, self.times.len()).is_some());
+            inside.next().map(|e| base + e.t_us)
+        };
+        let last = [last(true), last(false)];
+        let known = events.len() <= FEW || last.iter().all(Option::is_some);
+        known.then(|| [0, 1].map(|polarity| last[polarity].unwrap_or(before[polarity])))
     }
 
     /// Enters one event, and moves the base where its time is not in the range.
@@ -157,20 +209,14 @@ impl TimeSurface {
         if tau_us > Decay::MAX_TAU_US {
             return Err("parameter \"tau\" is above 100s; give a shorter time constant".to_owned());
         }
-        let slot = Slot {
-            times: vec![0; 2 * sensor.pixels()],
-            base_us: 0,
-            last_us: None,
-        };
         let decay = Decay::new(tau_us);
         Ok(Self {
             width: sensor.width,
             range: Range::new(&decay),
-            merged: if slots > 1 { slot.times.clone() } else { Vec::new() },
-            slots: vec![slot; slots],
+            slots: vec![Slot::empty(sensor.pixels()); slots],
             base_us: 0,
-            on: decay.clone(),
-            off: decay,
+            lead_us: decay.lead_us(),
+            levels: AgeLevels::new(decay),
         })
     }
 
@@ -184,15 +230,30 @@ impl TimeSurface {
         self.base_us
     }
 
-    /// Puts the times of slots, in stream order, into `merged`, all from the base of the newest.
-    fn merge(&mut self, older: &[usize], newest: usize) {
+    /// Puts the times of slots together that begin at `start`, at most [`STRIP`], all from the base of the newest: in
+    /// `merged`, if there is more than one slot. `older` are in stream order.
+    fn strip<'a>(
+        &'a self,
+        older: &[usize],
+        newest: usize,
+        start: usize,
+        merged: &'a mut [u32; STRIP],
+    ) -> &'a [u32] {
+        let part = |slot: &'a Slot| &slot.times[start..slot.times.len().min(start + STRIP)];
         let newest = &self.slots[newest];
-        self.merged.copy_from_slice(&newest.times);
-        for slot in older.iter().rev().map(|s| &self.slots[*s]) {
-            if slot.last_us.is_none() {
-                continue;
-            }
-            let both = self.merged.iter_mut().zip(&slot.times);
+        let mut older = older
+            .iter()
+            .rev()
+            .map(|s| &self.slots[*s])
+            .filter(|s| s.last_us.is_some())
+            .peekable();
+        if older.peek().is_none() {
+            return part(newest);
+        }
+        let merged = &mut merged[..part(newest).len()];
+        merged.copy_from_slice(part(newest));
+        for slot in older {
+            let both = merged.iter_mut().zip(part(slot));
             if slot.base_us == newest.base_us {
                 both.for_each(|(time, older)| *time = if *time == 0 { *older } else { *time });
             } else {
@@ -201,46 +262,29 @@ impl TimeSurface {
                 under.for_each(|(time, older)| *time = self.range.shifted(*older, by));
             }
         }
+        merged
     }
-}
 
-/// What turns stored times into levels. An age is `now` less the stored time.
-struct Look<'a> {
-    now: u32,
-    on: &'a Decay,
-    off: &'a Decay,
-}
-
-impl Look<'_> {
-    /// Levels of a plane of pairs.
-    fn levels(&self, times: &[u32], levels: &mut [u8]) {
-        let (times, times_rest) = times.as_chunks::<RUN>();
-        let (levels, levels_rest) = levels.as_chunks_mut::<RUN>();
-        for (levels, times) in levels.iter_mut().zip(times) {
-            if times.iter().fold(0, |any, time| any | time) == 0 {
-                *levels = [0; RUN];
-            } else {
-                self.run(times, levels);
+    /// The largest times of ON and of OFF of these slots put together, where the slots say it: of each polarity that of
+    /// the last slot that has any, if no slot before has a larger one (which later events may have replaced).
+    fn largest(&self, slots: &[usize], newest: usize) -> Option<[u32; 2]> {
+        let mut largest = [0; 2];
+        for slot in slots
+            .iter()
+            .map(|s| &self.slots[*s])
+            .filter(|s| s.last_us.is_some())
+        {
+            if slot.base_us != self.slots[newest].base_us {
+                return None;
+            }
+            for (largest, of_slot) in largest.iter_mut().zip(slot.largest?) {
+                if of_slot != 0 && of_slot < *largest {
+                    return None;
+                }
+                *largest = of_slot.max(*largest);
             }
         }
-        let (mut times, mut levels) = ([0; RUN], [0; RUN]);
-        times[..times_rest.len()].copy_from_slice(times_rest);
-        self.run(&times, &mut levels);
-        levels_rest.copy_from_slice(&levels[..levels_rest.len()]);
-    }
-
-    /// First all ages, which makes vectors; then all levels, which cannot.
-    fn run(&self, times: &[u32; RUN], levels: &mut [u8; RUN]) {
-        let black_us = [self.on.black_us(), self.off.black_us()];
-        let mut ages_us = [0; RUN];
-        for i in 0..RUN {
-            ages_us[i] = self.now.saturating_sub(times[i]).min(black_us[i % 2]);
-        }
-        let pairs = levels.as_chunks_mut::<2>().0.iter_mut();
-        for ([on, off], [on_age_us, off_age_us]) in pairs.zip(ages_us.as_chunks::<2>().0) {
-            *on = self.on.level(*on_age_us);
-            *off = self.off.level(*off_age_us);
-        }
+        Some(largest)
     }
 }
 
@@ -253,9 +297,7 @@ impl Method for TimeSurface {
     }
 
     fn clear(&mut self, slot: usize) {
-        let slot = &mut self.slots[slot];
-        slot.times.fill(0);
-        slot.last_us = None;
+        self.slots[slot].clear();
     }
 
     fn render(&mut self, slots: &[usize], out: &mut [u8]) {
@@ -270,28 +312,23 @@ impl Method for TimeSurface {
             return;
         };
         let (older, newest) = (&slots[..newest], slots[newest]);
-        let times = if older.iter().any(|slot| last(slot).is_some()) {
-            self.merge(older, newest);
-            &self.merged
-        } else {
-            &self.slots[newest].times
-        };
-        let now = last_time + self.on.lead_us();
-        let youngest = largest(times, u32::MAX).map(|time| {
-            if time == 0 {
-                u32::MAX
-            } else {
-                now.saturating_sub(time)
-            }
+        let mut merged = [0; STRIP];
+        let starts = || (0..self.slots[newest].times.len()).step_by(STRIP);
+        let largest = self.largest(slots, newest).unwrap_or_else(|| {
+            starts().fold([0; 2], |most, start| {
+                let [on, off] = largest(self.strip(older, newest, start, &mut merged), u32::MAX);
+                [on.max(most[0]), off.max(most[1])]
+            })
         });
-        self.on.prepare(youngest[0]);
-        self.off.prepare(youngest[1]);
-        let look = Look {
-            now,
-            on: &self.on,
-            off: &self.off,
-        };
-        render_pairs(times, out, |times, out| look.levels(times, out));
+        let now = last_time + self.lead_us;
+        self.levels.prepare(largest.map(|time| match time {
+            0 => u32::MAX,
+            _ => now.saturating_sub(time),
+        }));
+        for (start, out) in starts().zip(out.chunks_mut(STRIP / 2 * 3)) {
+            let times = self.strip(older, newest, start, &mut merged);
+            self.levels.render(now, times, out);
+        }
     }
 }
 

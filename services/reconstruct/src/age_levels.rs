@@ -1,0 +1,166 @@
+//! From times of last events to pixels: a grey level for every age, looked up exactly.
+
+use crate::decay::Decay;
+use crate::gather::{Gather, Look};
+use crate::pixels::render_pairs;
+use std::time::Instant;
+
+/// Buckets of one channel. Enough for every τ: a bucket is longer than τ / 510 (or 1 µs), and ages end at 19.4 τ.
+pub(crate) const BUCKETS: usize = 1 << BUCKET_BITS;
+/// As bits of an age's place in the table.
+pub(crate) const BUCKET_BITS: u32 = 14;
+/// The level's place in an entry of the table. A bucket is shorter than 2^24 µs.
+pub(crate) const LEVEL_SHIFT: u32 = 24;
+/// Values that are worked on at once.
+const RUN: usize = 32;
+
+/// Levels of both channels of a frame by the age of a pixel's last event (an age as [`Decay`] says).
+///
+/// A table of buckets no longer than the closest two changes of the level has at most one change in each. An entry is
+/// the level of the bucket's first age times 2^24, plus the last age (µs) that has this level: entry less age, over
+/// 2^24, is then the level of every age in the bucket, as the subtraction borrows one from the level after the change.
+/// So a value costs one look-up, two shifts, a subtraction and no branch.
+#[derive(Debug)]
+pub(crate) struct AgeLevels {
+    decay: Decay,
+    /// A bucket is 2^shift µs.
+    shift: u32,
+    /// From this age on (µs) the level is 0 in this frame. Its bucket is the last one that is looked up.
+    black_us: [u32; 2],
+    /// What the table was made for.
+    youngest_us: [u32; 2],
+    /// The first channel's buckets, then the second's.
+    entries: Box<[u32; 2 * BUCKETS]>,
+    /// Where look-ups by vector instructions are there and pay.
+    gather: Option<Gather>,
+}
+
+impl AgeLevels {
+    /// For this decay.
+    pub(crate) fn new(decay: Decay) -> Self {
+        let mut levels = Self {
+            shift: decay.closest_us().max(1).ilog2(),
+            decay,
+            black_us: [0; 2],
+            youngest_us: [u32::MAX; 2],
+            entries: Box::new([0; 2 * BUCKETS]),
+            gather: None,
+        };
+        (0..2).for_each(|channel| levels.fill(channel));
+        levels.gather = Gather::detect().filter(|gather| levels.pays(*gather));
+        levels
+    }
+
+    /// Makes ready for a frame whose youngest pixels have these ages; `u32::MAX` in a channel without events.
+    pub(crate) fn prepare(&mut self, youngest_us: [u32; 2]) {
+        for (channel, youngest_us) in youngest_us.into_iter().enumerate() {
+            if self.youngest_us[channel] != youngest_us {
+                self.youngest_us[channel] = youngest_us;
+                self.fill(channel);
+            }
+        }
+    }
+
+    fn fill(&mut self, channel: usize) {
+        let ends = self.decay.ends(self.youngest_us[channel]);
+        self.black_us[channel] = ends[1];
+        let length_us = 1 << self.shift;
+        let entries = &mut self.entries[channel * BUCKETS..(channel + 1) * BUCKETS];
+        let used = BUCKETS.min((ends[1] >> self.shift) as usize + 1);
+        let mut bucket = 0;
+        for (level, end_us) in ends.into_iter().enumerate().rev() {
+            let until = used.min(end_us.div_ceil(length_us) as usize);
+            let Some(entries) = entries.get_mut(bucket..until) else {
+                continue;
+            };
+            let mut end_of_bucket_us = (bucket as u32) << self.shift;
+            for entry in entries.iter_mut() {
+                end_of_bucket_us += length_us;
+                *entry = ((level as u32) << LEVEL_SHIFT).wrapping_add(end_of_bucket_us - 1);
+            }
+            if let Some(last) = entries.last_mut() {
+                *last -= end_of_bucket_us.saturating_sub(end_us);
+            }
+            bucket = until;
+        }
+    }
+
+    /// Renders a plane of pairs of times: of age `now` less the time, or 0 where it is later. `out` has three bytes per
+    /// pair, the third 0.
+    pub(crate) fn render(&self, now: u32, times: &[u32], out: &mut [u8]) {
+        match self.gather {
+            Some(gather) => gather.render(&self.look(now), times, out),
+            None => render_pairs(times, out, |times, levels| self.levels(now, times, levels)),
+        }
+    }
+
+    fn look(&self, now: u32) -> Look<'_> {
+        Look {
+            now,
+            black_us: self.black_us,
+            shift: self.shift,
+            entries: &self.entries,
+        }
+    }
+
+    /// Levels of a plane of pairs, on any processor.
+    fn levels(&self, now: u32, times: &[u32], levels: &mut [u8]) {
+        let (times, times_rest) = times.as_chunks::<RUN>();
+        let (levels, levels_rest) = levels.as_chunks_mut::<RUN>();
+        for (levels, times) in levels.iter_mut().zip(times) {
+            if times.iter().fold(0, |any, time| any | time) == 0 {
+                *levels = [0; RUN];
+            } else {
+                self.run(now, times, levels);
+            }
+        }
+        if !times_rest.is_empty() {
+            let (mut times, mut levels) = ([0; RUN], [0; RUN]);
+            times[..times_rest.len()].copy_from_slice(times_rest);
+            self.run(now, &times, &mut levels);
+            levels_rest.copy_from_slice(&levels[..levels_rest.len()]);
+        }
+    }
+
+    /// First all ages and places, which makes vectors; then the look-ups, which cannot; then all levels.
+    #[inline]
+    fn run(&self, now: u32, times: &[u32; RUN], levels: &mut [u8; RUN]) {
+        let (mut ages_us, mut places) = ([0; RUN], [0; RUN]);
+        for i in 0..RUN {
+            ages_us[i] = now.saturating_sub(times[i]).min(self.black_us[i % 2]);
+            places[i] = ages_us[i] >> self.shift | ((i as u32 % 2) << BUCKET_BITS);
+        }
+        // The mask never changes a place. It is there for the compiler.
+        let entries = places.map(|place| self.entries[place as usize & (2 * BUCKETS - 1)]);
+        for i in 0..RUN {
+            levels[i] = (entries[i].wrapping_sub(ages_us[i]) >> LEVEL_SHIFT) as u8;
+        }
+    }
+
+    /// Whether vector instructions look up faster than ordinary ones: on some processors they are far slower. Both give
+    /// the same levels, so they are simply tried.
+    fn pays(&self, gather: Gather) -> bool {
+        const TIMES: usize = 4096;
+        const REPEATS: usize = 8;
+        let last_us = self.decay.always_black_us();
+        let times: Vec<u32> = (1..=TIMES as u32).map(|i| last_us / TIMES as u32 * i).collect();
+        let mut out = vec![0; TIMES / 2 * 3];
+        let look = Look {
+            black_us: [last_us; 2],
+            ..self.look(last_us)
+        };
+        let mut fastest = |run: &mut dyn FnMut(&mut [u8])| {
+            let times = (0..REPEATS).map(|_| {
+                let start = Instant::now();
+                run(std::hint::black_box(&mut out));
+                start.elapsed()
+            });
+            times.min()
+        };
+        let with = fastest(&mut |out| gather.render(&look, &times, out));
+        let without = fastest(&mut |out| {
+            render_pairs(&times, out, |times, levels| self.levels(last_us, times, levels));
+        });
+        with <= without
+    }
+}
