@@ -5,7 +5,7 @@
 //! second. scripts/bench_numpy.py counts the same events with NumPy.
 
 use evpr_core::message::{ChunkHeader, Event, FrameHeader, Frames};
-use evpr_core::plan::{Member, Params, Plan, Reconstruction, Sensor, test_plan};
+use evpr_core::plan::{Align, Member, Params, Plan, Reconstruction, Sensor, test_plan};
 use evpr_core::stage::{Outlet, Stage, StageError};
 use evpr_reconstruct::{Reconstruct, build, kinds};
 use std::hint::black_box;
@@ -28,8 +28,16 @@ fn main() {
             gb / read
         );
         println!(
-            "{:>24} {:>9} {:>8} {:>9} | {:>9} {:>9} {:>9} | {:>12}",
-            "method", "ns/event", "to read", "clear ms", "frame 5%", "frame 50%", "frame all", "4 windows ms"
+            "{:>24} {:>9} {:>8} {:>9} | {:>9} {:>9} {:>9} | {:>12} {:>12}",
+            "method",
+            "ns/event",
+            "to read",
+            "clear ms",
+            "frame 5%",
+            "frame 50%",
+            "frame all",
+            "4 windows ms",
+            "from the end"
         );
         for kind in kinds() {
             measure(kind.name, sensor, &events, read);
@@ -39,31 +47,32 @@ fn main() {
 }
 
 /// `ns/event` is with the clear; a frame is that of a window of one segment after this part of the events; the last
-/// column is all that a tick with windows of 0.1, 0.25, 0.5 and 1 s costs beyond its events: four clears, four frames.
+/// two columns are all that a tick with windows of 0.1, 0.25, 0.5 and 1 s costs beyond its events: the clears and four
+/// frames, with windows that begin with the tick (one plane holds them all) and that end with it (a plane per segment).
 fn measure(kind: &str, sensor: Sensor, events: &[Event], read: f64) {
-    let mut stage = stage(kind, sensor, &[1000]);
     let count = events.len() as f64;
     let part = |percent: usize| &events[..events.len() / 100 * percent];
-    let mut ticks = Ticks::default();
-    let mut whole = || ticks.one(&mut stage, &[part(100)]);
-    let all = Times::median(&mut whole);
-    let five = Times::median(&mut || ticks.one(&mut stage, &[part(5)]));
-    let half = Times::median(&mut || ticks.one(&mut stage, &[part(50)]));
-    let mut nested = self::stage(kind, sensor, &[100, 250, 500, 1000]);
-    let at = |percent: usize| events.len() / 100 * percent;
-    let quarters = [0..at(10), at(10)..at(25), at(25)..at(50), at(50)..events.len()];
-    let segments = quarters.map(|range| &events[range]);
-    let mut ticks = Ticks::default();
-    let windows = Times::median(&mut || ticks.one(&mut nested, &segments));
+    let mut ticks = Ticks::new(kind, sensor, &[1000], Align::Start);
+    let all = Times::median(&mut || ticks.one(&[part(100)]));
+    let five = Times::median(&mut || ticks.one(&[part(5)]));
+    let half = Times::median(&mut || ticks.one(&[part(50)]));
+    let windows = |align, cuts: [usize; 5]| {
+        let mut ticks = Ticks::new(kind, sensor, &[100, 250, 500, 1000], align);
+        let at = cuts.map(|percent| events.len() / 100 * percent);
+        let segments: [_; 4] = std::array::from_fn(|i| &events[at[i]..at[i + 1]]);
+        let times = Times::median(&mut || ticks.one(&segments));
+        (times.open + times.close) * 1e3
+    };
+    let nested = windows(Align::Start, [0, 10, 25, 50, 100]);
+    let from_the_end = windows(Align::End, [0, 50, 75, 90, 100]);
     println!(
-        "{kind:>24} {:>9.2} {:>8.2} {:>9.3} | {:>9.3} {:>9.3} {:>9.3} | {:>12.3}",
+        "{kind:>24} {:>9.2} {:>8.2} {:>9.3} | {:>9.3} {:>9.3} {:>9.3} | {nested:>12.3} {from_the_end:>12.3}",
         (all.open + all.enter) * 1e9 / count,
         (all.open + all.enter) / read,
         all.open * 1e3,
         five.close * 1e3,
         half.close * 1e3,
-        all.close * 1e3,
-        (windows.open + windows.close) * 1e3
+        all.close * 1e3
     );
 }
 
@@ -90,29 +99,45 @@ impl Times {
 }
 
 /// Feeds a stage tick after tick.
-#[derive(Default)]
 struct Ticks {
+    stage: Reconstruct,
+    /// Per segment: the windows that close with it, as bits.
+    closes: Vec<u32>,
     tick: u64,
     seq: u64,
     outlet: Reused,
 }
 
 impl Ticks {
-    /// One tick, an opening chunk, chunks of events and a closing chunk per segment.
-    fn one(&mut self, stage: &mut Reconstruct, segments: &[&[Event]]) -> Times {
+    fn new(kind: &str, sensor: Sensor, windows_ms: &[u64], align: Align) -> Self {
+        let plan = plan(kind, sensor, windows_ms, align);
+        let segments = plan.slicing.segments();
+        Self {
+            stage: build(&plan, 0).unwrap_or_else(|error| unreachable!("{error}")),
+            closes: (0..segments.per_tick()).map(|s| segments.closes(s)).collect(),
+            tick: 0,
+            seq: 0,
+            outlet: Reused::default(),
+        }
+    }
+
+    /// One tick, an opening chunk, chunks of events and a closing chunk per segment. Ticks in a row differ in their
+    /// last few events, so that nothing is kept from one frame to the next that could not be in a real stream.
+    fn one(&mut self, segments: &[&[Event]]) -> Times {
         let mut times = Times {
             open: 0.0,
             enter: 0.0,
             close: 0.0,
         };
         for (segment, events) in segments.iter().enumerate() {
-            times.open += timed(|| self.chunk(stage, segment, ChunkHeader::OPENS_SEGMENT, &[]));
+            times.open += timed(|| self.chunk(segment, ChunkHeader::OPENS_SEGMENT, &[]));
+            let events = &events[..events.len() - (self.tick % 16) as usize];
             times.enter += timed(|| {
                 for chunk in events.chunks(CHUNK) {
-                    self.chunk(stage, segment, 0, chunk);
+                    self.chunk(segment, 0, chunk);
                 }
             });
-            times.close += timed(|| self.chunk(stage, segment, ChunkHeader::CLOSES_SEGMENT, &[]));
+            times.close += timed(|| self.chunk(segment, ChunkHeader::CLOSES_SEGMENT, &[]));
         }
         assert!(self.outlet.frames > 0, "every tick gives frames");
         self.outlet.frames = 0;
@@ -120,7 +145,7 @@ impl Ticks {
         times
     }
 
-    fn chunk(&mut self, stage: &mut Reconstruct, segment: usize, flags: u32, events: &[Event]) {
+    fn chunk(&mut self, segment: usize, flags: u32, events: &[Event]) {
         let closes = flags & ChunkHeader::CLOSES_SEGMENT != 0;
         let mut header = ChunkHeader {
             tick: self.tick,
@@ -128,13 +153,13 @@ impl Ticks {
             epoch: 1,
             segment: segment as u32,
             flags,
-            closes: if closes { 1 << segment } else { 0 },
+            closes: if closes { self.closes[segment] } else { 0 },
             members: test_members(),
             ..ChunkHeader::default()
         };
         header.stamp.seq = self.seq;
         self.seq += 1;
-        if let Err(error) = stage.process(&header, black_box(events), &mut self.outlet) {
+        if let Err(error) = self.stage.process(&header, black_box(events), &mut self.outlet) {
             eprintln!("{error}");
         }
     }
@@ -162,13 +187,13 @@ impl Outlet<Frames> for Reused {
     }
 }
 
-/// All members of the plans of [`stage`].
+/// All members of the plans of [`plan`].
 fn test_members() -> evpr_core::MemberSet {
     (0..4).collect()
 }
 
-/// A stage of this kind with these windows (ms) at the start of a tick of one second.
-fn stage(kind: &str, sensor: Sensor, windows_ms: &[u64]) -> Reconstruct {
+/// One reconstruction of this kind with these windows (ms) in a tick of one second.
+fn plan(kind: &str, sensor: Sensor, windows_ms: &[u64], align: Align) -> Plan {
     let mut plan: Plan = test_plan();
     let found = kinds().iter().filter(|k| k.name == kind);
     plan.reconstructions = found
@@ -189,6 +214,7 @@ fn stage(kind: &str, sensor: Sensor, windows_ms: &[u64]) -> Reconstruct {
         .collect();
     plan.sensor = sensor;
     plan.slicing.tick = 1000 * MS;
+    plan.slicing.align = align;
     plan.slicing.windows = windows_ms.iter().map(|ms| ms * MS).collect();
     plan.members = (0..windows_ms.len())
         .map(|window| Member {
@@ -200,7 +226,7 @@ fn stage(kind: &str, sensor: Sensor, windows_ms: &[u64]) -> Reconstruct {
             weight: 1.0,
         })
         .collect();
-    build(&plan, 0).unwrap_or_else(|error| unreachable!("{error}"))
+    plan
 }
 
 /// Reads every event once.

@@ -1,7 +1,7 @@
 //! From times of last events to pixels: a grey level for every age, looked up exactly.
 
+use crate::avx2::{Avx2, Look};
 use crate::decay::Decay;
-use crate::gather::{Gather, Look};
 use crate::pixels::render_pairs;
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ pub(crate) struct AgeLevels {
     /// The first channel's buckets, then the second's.
     entries: Box<[u32; 2 * BUCKETS]>,
     /// Where look-ups by vector instructions are there and pay.
-    gather: Option<Gather>,
+    gather: Option<Avx2>,
 }
 
 impl AgeLevels {
@@ -47,7 +47,7 @@ impl AgeLevels {
             gather: None,
         };
         (0..2).for_each(|channel| levels.fill(channel));
-        levels.gather = Gather::detect().filter(|gather| levels.pays(*gather));
+        levels.gather = Avx2::detect().filter(|gather| levels.pays(*gather));
         levels
     }
 
@@ -139,7 +139,7 @@ impl AgeLevels {
 
     /// Whether vector instructions look up faster than ordinary ones: on some processors they are far slower. Both give
     /// the same levels, so they are simply tried.
-    fn pays(&self, gather: Gather) -> bool {
+    fn pays(&self, gather: Avx2) -> bool {
         const TIMES: usize = 4096;
         const REPEATS: usize = 8;
         let last_us = self.decay.always_black_us();

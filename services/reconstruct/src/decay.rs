@@ -19,6 +19,8 @@ pub(crate) struct Decay {
     tau_us: f64,
     lead_us: u32,
     always_black_us: u32,
+    /// ln of every level.
+    ln: [f64; 256],
 }
 
 impl Decay {
@@ -32,6 +34,7 @@ impl Decay {
             tau_us,
             lead_us,
             always_black_us: lead_us + (BLACK_AFTER_TAUS * tau_us).ceil() as u32 + 1,
+            ln: std::array::from_fn(|level| (level as f64).ln()),
         }
     }
 
@@ -82,26 +85,45 @@ impl Decay {
         let mut ends = [u32::MAX; 256];
         if youngest_us == u32::MAX {
             ends[1..].fill(0);
-        } else {
-            let largest = self.surface(youngest_us);
-            for level in 1..=u8::MAX {
-                ends[usize::from(level)] = self.end_of(level, largest);
-            }
+            return ends;
+        }
+        let largest = self.surface(youngest_us);
+        let solved = self.solved(largest);
+        for level in 1..=u8::MAX {
+            ends[usize::from(level)] = self.end_of(level, solved[usize::from(level)], largest);
         }
         ends
     }
 
-    /// The age below which the level is `level` or more: the formula solved for the age. Where the solution is so
+    /// Per level the formula solved for the age, µs: lead − τ (ln(atanh(level / 255 · (largest + 1e-6))) + 1). NaN for a
+    /// level above the formula's range.
+    fn solved(&self, largest: f64) -> [f64; 256] {
+        let step = (largest + 1e-6) / 255.0;
+        let (lead_us, ln_step) = (f64::from(self.lead_us), step.ln());
+        let mut solved = [0.0; 256];
+        for (level, solved) in solved.iter_mut().enumerate() {
+            let surface = level as f64 * step;
+            let ln_atanh = self.ln[level] + ln_step + ln_atanh_over(surface * surface);
+            *solved = lead_us - self.tau_us * (ln_atanh + 1.0);
+        }
+        let past = (ATANH_TO.sqrt() / step) as usize;
+        for (level, solved) in solved.iter_mut().enumerate().skip(past.max(1)) {
+            *solved = lead_us - self.tau_us * ((level as f64 * step).atanh().ln() + 1.0);
+        }
+        solved
+    }
+
+    /// The age below which the level is `level` or more, from that which is the formula solved for it. Where this is so
     /// close to a whole µs that a rounding may have put it on the wrong side, the formula itself decides.
-    fn end_of(&self, level: u8, largest: f64) -> u32 {
+    fn end_of(&self, level: u8, solved_us: f64, largest: f64) -> u32 {
         const ROUNDINGS: usize = 4;
-        const CLOSE_US: f64 = 0.01;
-        let surface = f64::from(level) / 255.0 * (largest + 1e-6);
-        let after_last_us = -self.tau_us * (surface.atanh().ln() + 1.0);
-        let solved = f64::from(self.lead_us) + after_last_us;
-        // NaN (a level above the formula's range) becomes 0.
-        let mut end = ((solved.floor() + 1.0).max(0.0) as u32).min(self.always_black_us);
-        if level < u8::MAX - 1 && (solved - solved.round()).abs() > CLOSE_US {
+        // A thousand times the error of `solved`.
+        let close_us = 1e-9 * self.tau_us + 1e-6;
+        // NaN becomes 0.
+        let whole_us = solved_us.max(-1.0) as i64;
+        let part_us = solved_us - whole_us as f64;
+        let mut end = (whole_us + i64::from(part_us >= 0.0)).clamp(0, self.always_black_us.into()) as u32;
+        if level < u8::MAX - 1 && (close_us..1.0 - close_us).contains(&part_us) {
             return end;
         }
         for _ in 0..ROUNDINGS {
@@ -115,6 +137,24 @@ impl Decay {
         }
         end
     }
+}
+
+/// Up to here [`ln_atanh_over`] holds. It is just above tanh(1/e)², the largest of a stream in order.
+const ATANH_TO: f64 = 0.125;
+
+/// ln(atanh(y) / y) from y², to 4e-13 where y² ≤ [`ATANH_TO`]: a Chebyshev fit. A loop of it makes vectors.
+#[inline]
+fn ln_atanh_over(y2: f64) -> f64 {
+    const FIT: [f64; 7] = [
+        0.333_333_333_335_705_4,
+        0.144_444_442_586_811_47,
+        0.088_536_391_620_409_13,
+        0.062_616_646_714_946_54,
+        0.048_173_966_972_114_26,
+        0.035_691_959_487_482_42,
+        0.047_409_967_081_655_23,
+    ];
+    FIT.iter().rev().fold(0.0, |sum, part| (sum + part) * y2)
 }
 
 #[cfg(test)]
@@ -146,6 +186,34 @@ mod tests {
                 assert_eq!(level(&ends, age_us), expected, "τ {tau_us} µs, age {age_us}");
             }
             assert_eq!(level(&ends, u32::MAX - 1), 0);
+        }
+    }
+
+    #[test]
+    fn the_fit_of_the_logarithm_holds_where_it_is_used() {
+        for i in 1..=10_000 {
+            let y2 = ATANH_TO * f64::from(i) / 1e4;
+            let y = y2.sqrt();
+            let error = ln_atanh_over(y2) - (y.atanh() / y).ln();
+            assert!(error.abs() < 1e-12, "y² {y2}: {error}");
+        }
+    }
+
+    /// All changes of the level, by the formula on both sides of them.
+    #[test]
+    fn levels_change_where_the_formula_does() {
+        for tau_us in [1.0, 7.7, 255.0, 20_000.0, 100_000.0, 1e6, 3.3e7, 1e8] {
+            let d = Decay::new(tau_us);
+            for part in [0.0, 0.5, 0.97, 1.0, 1.0001, 1.003, 1.1, 2.0, 5.0, 11.0, 18.0] {
+                let youngest_us = (part * f64::from(d.lead_us)) as u32;
+                let ends = d.ends(youngest_us);
+                for level in 1..=255u8 {
+                    let end = ends[usize::from(level)];
+                    let case = format!("τ {tau_us} µs, youngest {youngest_us}, level {level}, end {end}");
+                    assert!(d.level(end, youngest_us) < level, "{case}");
+                    assert!(end == 0 || d.level(end - 1, youngest_us) >= level, "{case}");
+                }
+            }
         }
     }
 

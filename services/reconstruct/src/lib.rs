@@ -8,13 +8,13 @@
 //! render consecutive slots; segments, completeness and members are the driver's affair.
 
 mod age_levels;
+mod avx2;
 mod counters;
 mod decay;
 mod driver;
 mod event_count;
 mod event_count_no_polarity;
 mod frames;
-mod gather;
 mod held;
 mod method;
 mod network;

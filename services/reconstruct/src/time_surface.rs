@@ -1,6 +1,7 @@
 //! `time_surface`: how recent the last event of each pixel and polarity is.
 
 use crate::age_levels::AgeLevels;
+use crate::avx2::{Avx2, fill_in};
 use crate::decay::Decay;
 use crate::method::Method;
 use crate::pixels::largest;
@@ -22,6 +23,7 @@ pub(crate) struct TimeSurface {
     /// The age of a frame's last event.
     lead_us: u32,
     levels: AgeLevels,
+    avx2: Option<Avx2>,
 }
 
 /// Last times of one segment.
@@ -217,6 +219,7 @@ impl TimeSurface {
             base_us: 0,
             lead_us: decay.lead_us(),
             levels: AgeLevels::new(decay),
+            avx2: Avx2::detect(),
         })
     }
 
@@ -253,10 +256,13 @@ impl TimeSurface {
         let merged = &mut merged[..part(newest).len()];
         merged.copy_from_slice(part(newest));
         for slot in older {
-            let both = merged.iter_mut().zip(part(slot));
             if slot.base_us == newest.base_us {
-                both.for_each(|(time, older)| *time = if *time == 0 { *older } else { *time });
+                match self.avx2 {
+                    Some(avx2) => avx2.fill_in(merged, part(slot)),
+                    None => fill_in(merged, part(slot)),
+                }
             } else {
+                let both = merged.iter_mut().zip(part(slot));
                 let by = difference(slot.base_us, newest.base_us);
                 let under = both.filter(|(time, _)| **time == 0);
                 under.for_each(|(time, older)| *time = self.range.shifted(*older, by));

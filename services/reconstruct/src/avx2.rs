@@ -1,7 +1,8 @@
-//! Look-ups by vector instructions: eight at a time, with AVX2. The only `unsafe` of the crate.
+//! What the time surface does with AVX2, where the processor has it. The only `unsafe` of the crate.
 //!
-//! Safe code for the baseline moves every place out of a vector and every entry back into one, which takes most of a
-//! frame's time; no safe construct compiles to a gather.
+//! Levels are looked up eight at a time: safe code moves every place out of a vector and every entry back into one,
+//! which takes most of a frame's time, and nothing safe compiles to a gather. All else is as in
+//! [`age_levels`](crate::age_levels), with the same results.
 #![allow(unsafe_code)]
 
 use crate::age_levels::BUCKETS;
@@ -19,7 +20,16 @@ pub(crate) struct Look<'a> {
     pub(crate) entries: &'a [u32; 2 * BUCKETS],
 }
 
-pub(crate) use imp::Gather;
+pub(crate) use imp::Avx2;
+
+/// Puts times where `merged` has none (0) yet. Both have one length.
+#[inline(always)]
+pub(crate) fn fill_in(merged: &mut [u32], older: &[u32]) {
+    for (time, older) in merged.iter_mut().zip(older) {
+        let none = 0u32.wrapping_sub(u32::from(*time == 0));
+        *time |= older & none;
+    }
+}
 
 #[cfg(target_arch = "x86_64")]
 mod imp {
@@ -33,9 +43,9 @@ mod imp {
 
     /// Says that the processor has AVX2.
     #[derive(Debug, Clone, Copy)]
-    pub(crate) struct Gather(());
+    pub(crate) struct Avx2(());
 
-    impl Gather {
+    impl Avx2 {
         /// `None` where the processor lacks AVX2.
         pub(crate) fn detect() -> Option<Self> {
             std::arch::is_x86_feature_detected!("avx2").then_some(Self(()))
@@ -46,6 +56,17 @@ mod imp {
             // SAFETY: `render` asks for nothing but a processor with AVX2, which [`Self::detect`] has found.
             unsafe { render(look, times, out) }
         }
+
+        /// [`fill_in`](super::fill_in).
+        pub(crate) fn fill_in(self, merged: &mut [u32], older: &[u32]) {
+            // SAFETY: as above.
+            unsafe { fill_in(merged, older) }
+        }
+    }
+
+    #[target_feature(enable = "avx2")]
+    fn fill_in(merged: &mut [u32], older: &[u32]) {
+        super::fill_in(merged, older);
     }
 
     /// Constants in vectors.
@@ -157,14 +178,18 @@ mod imp {
 
     /// There is none.
     #[derive(Debug, Clone, Copy)]
-    pub(crate) enum Gather {}
+    pub(crate) enum Avx2 {}
 
-    impl Gather {
+    impl Avx2 {
         pub(crate) fn detect() -> Option<Self> {
             None
         }
 
         pub(crate) fn render(self, _look: &Look<'_>, _times: &[u32], _out: &mut [u8]) {
+            match self {}
+        }
+
+        pub(crate) fn fill_in(self, _merged: &mut [u32], _older: &[u32]) {
             match self {}
         }
     }
