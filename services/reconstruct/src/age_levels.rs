@@ -164,3 +164,124 @@ impl AgeLevels {
         with <= without
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// As it is chosen, with vector instructions where the processor has them (even if they do not pay), and without.
+    fn all_ways(decay: &Decay) -> Vec<AgeLevels> {
+        let chosen = AgeLevels::new(decay.clone());
+        let mut ways = vec![chosen];
+        for gather in [None, Avx2::detect()] {
+            let mut levels = AgeLevels::new(decay.clone());
+            levels.gather = gather;
+            ways.push(levels);
+        }
+        if Avx2::detect().is_none() {
+            println!("skipped: the processor has no AVX2");
+        }
+        ways
+    }
+
+    fn rendered(levels: &AgeLevels, now: u32, times: &[u32]) -> Vec<u8> {
+        let mut out = vec![7; times.len() / 2 * 3];
+        levels.render(now, times, &mut out);
+        out
+    }
+
+    /// Every age, channels unlike each other, in every way.
+    #[test]
+    fn every_age_has_the_level_of_the_formula() {
+        for (tau_us, youngest_us) in [
+            (10_000.0, [10_000, 10_003]),
+            (10_000.0, [10_000, u32::MAX]),
+            (10_000.0, [55_000, 12_345]),
+            (333.3, [400, 334]),
+            (1.5, [0, 2]),
+            (256.0, [100, 256]),
+            (900.0, [17_000, 900]),
+            (0.001, [1, 1]),
+        ] {
+            let decay = Decay::new(tau_us);
+            let first_us = youngest_us[0].min(youngest_us[1]);
+            let last_us = decay.always_black_us() + 70;
+            let now = last_us + 1_000_000;
+            let ages_us = (first_us..last_us).flat_map(|age_us| [age_us; 2]);
+            let times: Vec<u32> = ages_us.map(|age_us| now - age_us).collect();
+            for mut levels in all_ways(&decay) {
+                levels.prepare(youngest_us);
+                let out = rendered(&levels, now, &times);
+                for (age_us, pixel) in (first_us..last_us).zip(out.as_chunks::<3>().0) {
+                    for channel in 0..2 {
+                        // A pixel cannot be younger than the youngest.
+                        if age_us >= youngest_us[channel] || youngest_us[channel] == u32::MAX {
+                            let expected = decay.level(age_us, youngest_us[channel]);
+                            assert_eq!(
+                                pixel[channel], expected,
+                                "τ {tau_us} µs, age {age_us} in {channel}"
+                            );
+                        }
+                    }
+                    assert_eq!(pixel[2], 0);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_without_events_and_of_other_ages_are_black() {
+        let decay = Decay::new(100_000.0);
+        for mut levels in all_ways(&decay) {
+            levels.prepare([decay.lead_us(); 2]);
+            let (now, last) = (u32::MAX - 7, u32::MAX - 7 - decay.lead_us());
+            let mut times = [0; 72];
+            assert_eq!(rendered(&levels, now, &times), [0; 108]);
+            times[41] = last;
+            times[71] = last;
+            let mut expected = [0; 108];
+            expected[61] = 254;
+            expected[106] = 254;
+            assert_eq!(rendered(&levels, now, &times), expected);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// Any times: later than now, too. Any number of pixels. The table is made anew for each frame.
+        #[test]
+        fn all_ways_agree(
+            tau_us in prop_oneof![0.001f64..1e3, 1e3..1e6, 1e6..1e8],
+            frames in proptest::collection::vec(
+                ([0.0f64..3.0, 0.0..19.0], any::<u32>(), proptest::collection::vec([any::<u32>(), any::<u32>()], 0..80)),
+                1..4,
+            ),
+            near in any::<bool>(),
+        ) {
+            let decay = Decay::new(tau_us);
+            let mut ways = all_ways(&decay);
+            for (youngest, now, pairs) in frames {
+                let youngest_us = youngest.map(|taus| (taus * tau_us) as u32);
+                let span_us = decay.always_black_us() + 2;
+                let time = |time: u32| if near { now.wrapping_sub(time % span_us) } else { time };
+                let times: Vec<u32> = pairs.iter().flatten().map(|t| time(*t)).collect();
+                let mut all = ways.iter_mut().map(|levels| {
+                    levels.prepare(youngest_us);
+                    rendered(levels, now, &times)
+                });
+                let first = all.next().unwrap();
+                all.for_each(|other| assert_eq!(first, other));
+                for (i, time) in times.iter().enumerate() {
+                    let (age_us, channel) = (now.saturating_sub(*time), i % 2);
+                    if age_us >= youngest_us[channel] && times.iter().any(|time| *time != 0) {
+                        let expected = decay.level(age_us.min(span_us), youngest_us[channel]);
+                        let in_empty_run = times.chunks(RUN).nth(i / RUN).unwrap().iter().all(|time| *time == 0);
+                        prop_assert_eq!(first[i / 2 * 3 + channel], if in_empty_run { 0 } else { expected });
+                    }
+                }
+            }
+        }
+    }
+}

@@ -194,3 +194,27 @@ mod imp {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        #[test]
+        fn times_are_filled_in_where_there_is_none(pairs in proptest::collection::vec((0u32..3, any::<u32>()), 0..100)) {
+            let (merged, older): (Vec<u32>, Vec<u32>) = pairs.iter().map(|(a, b)| (a * 0x7F00_0001, *b)).unzip();
+            let expected: Vec<u32> = merged.iter().zip(&older).map(|(a, b)| if *a == 0 { *b } else { *a }).collect();
+            let mut portable = merged.clone();
+            fill_in(&mut portable, &older);
+            prop_assert_eq!(&portable, &expected);
+            if let Some(avx2) = Avx2::detect() {
+                let mut merged = merged;
+                avx2.fill_in(&mut merged, &older);
+                prop_assert_eq!(&merged, &expected);
+            }
+        }
+    }
+}

@@ -16,6 +16,7 @@ mod event_count;
 mod event_count_no_polarity;
 mod frames;
 mod held;
+mod last_times;
 mod method;
 mod network;
 mod pixels;

@@ -3,6 +3,7 @@
 use crate::age_levels::AgeLevels;
 use crate::avx2::{Avx2, fill_in};
 use crate::decay::Decay;
+use crate::last_times::{Range, Slot, difference};
 use crate::method::Method;
 use crate::pixels::largest;
 use evpr_core::message::Event;
@@ -24,184 +25,6 @@ pub(crate) struct TimeSurface {
     lead_us: u32,
     levels: AgeLevels,
     avx2: Option<Avx2>,
-}
-
-/// Last times of one segment.
-#[derive(Debug, Clone)]
-struct Slot {
-    /// Per pixel a pair, ON then OFF: 0 where no event is, else the time from `base_us`, in the [`Range`].
-    times: Vec<u32>,
-    /// Times count from here, modulo 2^64 (it may lie before 0).
-    base_us: u64,
-    /// Time of the last event in stream order, µs.
-    last_us: Option<u64>,
-    /// The largest of the times of ON and of OFF, where that is known without a look at all of them.
-    largest: Option<[u32; 2]>,
-}
-
-/// Which times, from their base, are kept.
-///
-/// From the earliest to the latest: the 0 of "no event" is then so much before any of them that it is black, and the
-/// latest plus the lead is still within u32. So a pixel's age is one subtraction, event or not.
-#[derive(Debug, Clone, Copy)]
-struct Range {
-    earliest: u32,
-    /// Where a new base puts its first event. What would come before the earliest then is black by its age.
-    centre: u32,
-}
-
-impl Range {
-    const LATEST: u32 = u32::MAX - Decay::MAX_TAU_US as u32;
-
-    fn new(decay: &Decay) -> Self {
-        let earliest = decay.always_black_us();
-        Self {
-            earliest,
-            centre: (2 * earliest).max(1 << 31),
-        }
-    }
-
-    /// The base with which a time is at the centre.
-    fn base_for(self, time_us: u64) -> u64 {
-        time_us.wrapping_sub(self.centre.into())
-    }
-
-    /// The time from a base, if it is in the range.
-    fn stored(self, time_us: u64, base_us: u64) -> Option<u32> {
-        let since = u32::try_from(time_us.wrapping_sub(base_us)).ok()?;
-        (self.earliest..=Self::LATEST).contains(&since).then_some(since)
-    }
-
-    /// The stored time of an event (or 0) from a base that is `by` earlier. What comes to lie before the range is
-    /// black, and forgotten; what comes to lie after it goes to its end.
-    fn shifted(self, time: u32, by: i128) -> u32 {
-        let shifted = i128::from(time) + by;
-        if time == 0 || shifted < self.earliest.into() {
-            return 0;
-        }
-        shifted.min(Self::LATEST.into()) as u32
-    }
-}
-
-/// Where in `len` times an event's is kept, if the event lies in the sensor.
-#[inline]
-fn index(event: &Event, width: usize, len: usize) -> Option<usize> {
-    let x = usize::from(event.x);
-    let index = 2 * (usize::from(event.y()) * width + x) + usize::from(!event.on());
-    (x < width && index < len).then_some(index)
-}
-
-impl Slot {
-    fn empty(pixels: usize) -> Self {
-        Self {
-            times: vec![0; 2 * pixels],
-            base_us: 0,
-            last_us: None,
-            largest: Some([0; 2]),
-        }
-    }
-
-    fn clear(&mut self) {
-        self.times.fill(0);
-        self.last_us = None;
-        self.largest = Some([0; 2]);
-    }
-
-    /// Enters events; returns how many lie in the sensor, and whether their times never go back. Their times are right
-    /// if the largest `t_us`, `base` added, is.
-    fn enter(&mut self, events: &[Event], base: u32, width: usize) -> (usize, bool) {
-        let times = self.times.as_mut_slice();
-        let (mut entered, mut before_us, mut in_order) = (0, 0, true);
-        for event in events {
-            in_order &= before_us <= event.t_us;
-            before_us = event.t_us;
-            if let Some(index) = index(event, width, times.len()) {
-                times[index] = base.wrapping_add(event.t_us);
-                entered += 1;
-            }
-        }
-        (entered, in_order)
-    }
-
-    fn accumulate(&mut self, events: &[Event], base_us: u64, width: usize, range: Range) -> usize {
-        let mut entered = None;
-        let before = self.largest.take();
-        if let Some(base) = range.stored(base_us, self.base_us) {
-            let (count, in_order) = self.enter(events, base, width);
-            let mut times_us = events.iter().map(|e| e.t_us);
-            let longest_us = if in_order {
-                times_us.next_back()
-            } else {
-                times_us.max()
-            };
-            let latest_us = base_us.saturating_add(longest_us.unwrap_or(0).into());
-            if range.stored(latest_us, self.base_us).is_some() {
-                entered = Some(count);
-                self.largest = before
-                    .filter(|_| in_order)
-                    .and_then(|before| self.largest_after(before, events, base, width));
-            }
-        }
-        // Rare: many minutes between events of one segment, or as much back. What the attempt above wrote is written
-        // again.
-        let far = || {
-            events
-                .iter()
-                .map(|e| self.enter_far(e, base_us, width, range))
-                .sum()
-        };
-        let entered = entered.unwrap_or_else(far);
-        let inside = |e: &&Event| index(e, width, self.times.len()).is_some();
-        if let Some(last) = events.iter().rev().find(inside) {
-            self.last_us = Some(base_us.saturating_add(last.t_us.into()));
-        }
-        entered
-    }
-
-    /// The largest times after these events, which are in order: of each polarity that of its last event, if all began
-    /// when everything before had been, and if that event is among the last few.
-    fn largest_after(&self, before: [u32; 2], events: &[Event], base: u32, width: usize) -> Option<[u32; 2]> {
-        const FEW: usize = 256;
-        let Some(first) = events.first() else {
-            return Some(before);
-        };
-        if base + first.t_us < before[0].max(before[1]) {
-            return None;
-        }
-        let last_few = events.iter().rev().take(FEW);
-        let last = |on: bool| {
-            let mut inside = last_few
-                .clone()
-                .filter(|e| e.on() == on && index(e, width, self.times.len()).is_some());
-            inside.next().map(|e| base + e.t_us)
-        };
-        let last = [last(true), last(false)];
-        let known = events.len() <= FEW || last.iter().all(Option::is_some);
-        known.then(|| [0, 1].map(|polarity| last[polarity].unwrap_or(before[polarity])))
-    }
-
-    /// Enters one event, and moves the base where its time is not in the range.
-    fn enter_far(&mut self, event: &Event, base_us: u64, width: usize, range: Range) -> usize {
-        let Some(index) = index(event, width, self.times.len()) else {
-            return 0;
-        };
-        let time_us = base_us.saturating_add(event.t_us.into());
-        self.times[index] = range.stored(time_us, self.base_us).unwrap_or_else(|| {
-            let by = difference(self.base_us, range.base_for(time_us));
-            self.times
-                .iter_mut()
-                .for_each(|time| *time = range.shifted(*time, by));
-            self.base_us = range.base_for(time_us);
-            range.centre
-        });
-        1
-    }
-}
-
-/// How much later the first base is. Bases are times less the centre.
-fn difference(base_us: u64, other_us: u64) -> i128 {
-    let time = |base_us: u64| i128::from(base_us.wrapping_add(1 << 32));
-    time(base_us) - time(other_us)
 }
 
 impl TimeSurface {
@@ -342,6 +165,7 @@ impl Method for TimeSurface {
 mod tests {
     use super::*;
     use evpr_core::plan::ParamValue;
+    use proptest::prelude::*;
 
     const SENSOR: Sensor = Sensor { height: 1, width: 3 };
     const SECOND_US: u64 = 1_000_000;
@@ -417,5 +241,96 @@ mod tests {
             1
         );
         assert_eq!(on_levels(&mut m, &[0]), [254, 0, 0]);
+    }
+
+    /// Frames of the formula, event by event.
+    fn direct(sensor: Sensor, tau_us: f64, events: &[(u64, Event)]) -> Vec<u8> {
+        let decay = Decay::new(tau_us);
+        let mut times = vec![None; sensor.pixels() * 2];
+        for (base_us, e) in events {
+            let pixel = usize::from(e.y()) * sensor.width + usize::from(e.x);
+            times[2 * pixel + usize::from(!e.on())] = Some(base_us + u64::from(e.t_us));
+        }
+        let (base_us, last) = events[events.len() - 1];
+        let now_us = base_us + u64::from(last.t_us) + u64::from(decay.lead_us());
+        let ages: Vec<Option<u32>> = times
+            .iter()
+            .map(|t| t.map(|t| now_us.saturating_sub(t) as u32))
+            .collect();
+        let youngest = |channel| ages.iter().skip(channel).step_by(2).flatten().min().copied();
+        let youngest = [0, 1].map(|channel| youngest(channel).unwrap_or(u32::MAX));
+        let level =
+            |age: Option<u32>, channel: usize| age.map_or(0, |age| decay.level(age, youngest[channel]));
+        let pixels = ages.as_chunks::<2>().0.iter();
+        pixels
+            .flat_map(|[on, off]| [level(*on, 0), level(*off, 1), 0])
+            .collect()
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+
+        /// Slots of several strips, times in order or not, polarities that are rare or absent, any chunks.
+        #[test]
+        fn frames_are_the_formulas(
+            seed in any::<u64>(),
+            (count, slots) in (1usize..2000, 1usize..4),
+            (back, off_of, chunk) in (prop_oneof![Just(0u64), 1..100_000u64], prop_oneof![Just(2), Just(700), Just(u64::MAX)], 1usize..900),
+        ) {
+            let sensor = Sensor { height: 33, width: 41 };
+            let tau_us = 20_000.0;
+            let params = Params([("tau".to_owned(), ParamValue::Integer(20_000_000))].into());
+            let mut m = TimeSurface::new(sensor, slots, &params).unwrap();
+            let mut state = seed;
+            let mut random = |below: u64| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 33) % below
+            };
+            let events: Vec<Event> = (0..count as u64)
+                .map(|i| {
+                    let t_us = 200_000 + i * 300 - random(back + 1);
+                    let (x, y) = (random(41) as u16, random(33) as u16);
+                    Event::new(t_us as u32, x, y, random(off_of) != 0)
+                })
+                .collect();
+            let mut all = Vec::new();
+            let order: Vec<usize> = (0..slots).collect();
+            for (slot, events) in events.chunks(count.div_ceil(slots)).enumerate() {
+                for (i, events) in events.chunks(chunk).enumerate() {
+                    let base_us = 5_000_000 + i as u64 * (back / 7);
+                    prop_assert_eq!(m.accumulate(slot, events, base_us), events.len());
+                    all.extend(events.iter().map(|e| (base_us, *e)));
+                    let mut out = vec![9; sensor.pixels() * 3];
+                    m.render(&order[..=slot], &mut out);
+                    prop_assert!(out == direct(sensor, tau_us, &all));
+                }
+            }
+        }
+    }
+
+    /// What is known of the largest times is so, and is known where events come in order.
+    #[test]
+    fn the_largest_times_are_known_without_a_look() {
+        let mut m = surface(2, 1_000_000).unwrap();
+        let off = |t_us| Event::new(t_us, 2, 0, false);
+        let known = |m: &TimeSurface, slots: &[usize]| {
+            let newest = slots[slots.len() - 1];
+            let largest = m.largest(slots, newest)?;
+            Some(largest.map(|time| time.saturating_sub(m.range.centre)))
+        };
+        m.accumulate(0, &[on(1, 0), off(2), on(3, 3)], 100);
+        assert_eq!(known(&m, &[0]), Some([1, 2]));
+        m.accumulate(0, &vec![on(5, 0); 200], 100);
+        assert_eq!(known(&m, &[0]), Some([5, 2]));
+        m.accumulate(1, &[off(6)], 100);
+        assert_eq!(known(&m, &[0, 1]), Some([5, 6]));
+        m.accumulate(0, &vec![on(7, 0); 300], 100);
+        assert_eq!(known(&m, &[0]), None, "there may be an earlier OFF");
+        m.clear(0);
+        m.accumulate(0, &[on(7, 0), off(8)], 100);
+        assert_eq!(known(&m, &[0]), Some([7, 8]));
+        assert_eq!(known(&m, &[0, 1]), None, "later segments go back");
+        m.accumulate(0, &[on(6, 0)], 100);
+        assert_eq!(known(&m, &[0]), None, "7 is gone");
     }
 }
