@@ -123,17 +123,21 @@ impl AgeLevels {
     }
 
     /// First all ages and places, which makes vectors; then the look-ups, which cannot; then all levels.
-    #[inline]
+    #[inline(always)]
     fn run(&self, now: u32, times: &[u32; RUN], levels: &mut [u8; RUN]) {
-        let (mut ages_us, mut places) = ([0; RUN], [0; RUN]);
+        let (shift, entries) = (self.shift & 31, &*self.entries);
+        let black_us: [u32; RUN] = std::array::from_fn(|i| self.black_us[i % 2]);
+        let (mut ages_us, mut places, mut found) = ([0; RUN], [0; RUN], [0; RUN]);
         for i in 0..RUN {
-            ages_us[i] = now.saturating_sub(times[i]).min(self.black_us[i % 2]);
-            places[i] = ages_us[i] >> self.shift | ((i as u32 % 2) << BUCKET_BITS);
+            ages_us[i] = (now.max(times[i]) - times[i]).min(black_us[i]);
+            places[i] = ages_us[i] >> shift | ((i as u32 % 2) << BUCKET_BITS);
         }
-        // The mask never changes a place. It is there for the compiler.
-        let entries = places.map(|place| self.entries[place as usize & (2 * BUCKETS - 1)]);
         for i in 0..RUN {
-            levels[i] = (entries[i].wrapping_sub(ages_us[i]) >> LEVEL_SHIFT) as u8;
+            // The mask never changes a place. It is there for the compiler.
+            found[i] = entries[places[i] as usize & (2 * BUCKETS - 1)];
+        }
+        for i in 0..RUN {
+            levels[i] = (found[i].wrapping_sub(ages_us[i]) >> LEVEL_SHIFT) as u8;
         }
     }
 
