@@ -37,20 +37,28 @@ def read_png(file):
         return np.asarray(image.convert("RGB"))[:, :, ::-1]
 
 
+# Parts of blue, green and red in grey: ITU-R BT.601.
+GREY = np.float32([0.114, 0.587, 0.299])
+
+
 def tensor(frame, entry, shape):
-    """The frame as f32 (3, H, W) for the network of this registry entry; shape: the network's (H, W), None where any."""
-    channels = np.repeat(frame[:, :, None], 3, axis=2) if frame.ndim == 2 else frame
-    if entry["color"] == "rgb":
-        channels = channels[:, :, ::-1]
-    elif entry["color"] != "bgr":
-        raise ValueError(f"{entry['id']}: color '{entry['color']}' is not known here")
-    mean, std = np.float32(entry["mean"]), np.float32(entry["std"])
-    levels = channels.astype(np.float32) * np.float32(entry["range"] / 255)
-    levels = ((levels - mean) / std).transpose(2, 0, 1)
+    """The frame as f32 (channels, H, W) for the network of this registry entry; shape: the network's (H, W), None where any.
+
+    Level / 255 · range, resized, less mean, over std.
+    """
+    levels = frame.astype(np.float32)
+    if entry["color"] == "grey":
+        levels = levels @ GREY if frame.ndim == 3 else levels
+        planes = [levels]
+    else:
+        planes = [levels[:, :, c] for c in range(3)] if frame.ndim == 3 else [levels] * 3
+        planes = planes[::-1] if entry["color"] == "rgb" else planes
+    planes = [plane / np.float32(255) * np.float32(entry["range"]) for plane in planes]
     if entry["resize"] == "antialiased_bilinear":
         height, width = (int(part) for part in entry["input"].split("x"))
-        resized = [Image.fromarray(plane).resize((width, height), Image.Resampling.BILINEAR) for plane in levels]
-        levels = np.stack([np.asarray(plane) for plane in resized])
-    if shape and tuple(levels.shape[1:]) != tuple(shape):
-        raise ValueError(f"frames are {levels.shape[1]}x{levels.shape[2]}, the network takes {shape[0]}x{shape[1]}")
-    return np.ascontiguousarray(levels, np.float32)
+        images = [Image.fromarray(np.ascontiguousarray(plane)) for plane in planes]
+        planes = [np.asarray(image.resize((width, height), Image.Resampling.BILINEAR)) for image in images]
+    if shape and tuple(planes[0].shape) != tuple(shape):
+        raise ValueError(f"frames are {planes[0].shape[0]}x{planes[0].shape[1]}, the network takes {shape[0]}x{shape[1]}")
+    normal = zip(planes, entry["mean"], entry["std"], strict=True)
+    return np.stack([(plane - np.float32(mean)) / np.float32(std) for plane, mean, std in normal])
