@@ -5,9 +5,8 @@ use evpr_core::Plan;
 use evpr_core::config::{self, Overrides};
 use evpr_core::plan::{Catalog, Models, Sensor};
 use evpr_fuse::{Map, offline};
-use evpr_store::Traverse;
+use evpr_store::{GroundTruth, Traverse};
 use serde_json::Value;
-use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -64,23 +63,10 @@ fn mapped(test: &str, all: &str) -> Option<(Bench, PathBuf)> {
     Some((bench, query))
 }
 
-/// Pairs (query, reference) that count as right.
-fn ground_truth(path: &Path) -> HashSet<(u64, u64)> {
-    let text = fs::read_to_string(path).unwrap();
-    let pair = |line: &str| {
-        let (query, reference) = line.split_once(',').unwrap();
-        (query.parse().unwrap(), reference.parse().unwrap())
-    };
-    text.lines().skip(1).map(pair).collect()
-}
-
-/// Share of answers that are right; no answer is a wrong one.
-fn recall(answers: &[Value], truth: &HashSet<(u64, u64)>) -> f64 {
-    let right = |answer: &&Value| {
-        let reference = answer["reference"].as_u64();
-        reference.is_some_and(|reference| truth.contains(&(answer["tick"].as_u64().unwrap(), reference)))
-    };
-    answers.iter().filter(right).count() as f64 / answers.len() as f64
+/// The map's tick that each of these answers names.
+fn references(answers: &[Value]) -> Vec<Option<usize>> {
+    let reference = |answer: &Value| answer["reference"].as_u64().map(|reference| reference as usize);
+    answers.iter().map(reference).collect()
 }
 
 #[test]
@@ -92,7 +78,9 @@ fn the_route_is_recognised_as_often_as_by_the_reference_implementation() {
     let Some((bench, query)) = mapped(TEST, &config("[\"500ms\"]", &[METHOD], "\"all\"", 10)) else {
         return;
     };
-    let truth = ground_truth(&truth);
+    let map = Traverse::open(&bench.path("map")).unwrap();
+    // It knows the last tick too, which is not whole.
+    let truth = GroundTruth::from_pairs(&truth, QUERY_TICKS as usize + 1, map.len()).unwrap();
     for (extractor, length, known) in [
         ("patch_norm", 1, 0.903),
         ("patch_norm", 10, 0.490),
@@ -129,7 +117,7 @@ fn the_route_is_recognised_as_often_as_by_the_reference_implementation() {
                 .iter()
                 .all(|a| a["members"] == serde_json::json!([member]))
         );
-        let recall = recall(&answers, &truth);
+        let recall = truth.recall(&references(&answers)).right as f64 / QUERY_TICKS as f64;
         println!("{extractor}, L = {length}: R@1 {recall:.4}, known {known}");
         assert!(
             (recall - known).abs() <= 0.01,

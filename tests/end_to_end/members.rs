@@ -1,6 +1,6 @@
 //! Members switched off and on while the graph runs.
 
-use super::support::{Bench, Running, TICKS, assert_ticks, text};
+use super::support::{Bench, Running, TICKS, assert_ticks, run_args, text};
 use evpr_core::config::{self, Overrides};
 use evpr_core::plan::{Catalog, Models, Plan, Sensor};
 use evpr_core::{MemberSet, Reason};
@@ -64,18 +64,7 @@ fn every_member_goes_off_and_on_and_the_answers_are_those_of_exactly_these_holes
     assert_eq!(bench.run(&whole).code(), 0);
 
     let plan = plan(&bench, &config, &query, &map);
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "--pace",
-        "4",
-    ];
+    let args = run_args(&config, &query, &map, &["--pace", "4"]);
     let mut running = Running::start(&bench, &args);
     let mut off: Vec<(usize, u64, u64)> = Vec::new();
     for (index, member) in plan.members.iter().enumerate() {
@@ -155,18 +144,7 @@ fn unknown_members_and_illegal_weights_are_refused_and_weights_take_effect() {
     let config = bench.ensemble_config();
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
-    let args = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-m",
-        text(&map),
-        "--pace",
-        "5",
-    ];
+    let args = run_args(&config, &query, &map, &["--pace", "5"]);
     let mut running = Running::start(&bench, &args);
     assert!(running.read_to(5));
     for (args, words, code) in [
