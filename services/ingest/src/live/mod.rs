@@ -10,6 +10,8 @@
 //!   their segments are not whole, so no window over them is passed on. In latest delivery a slow stage does not make
 //!   ingest wait; in lossless delivery it does, and then whole ticks are lost here.
 //! - **Disconnection**: ticks go on by the host's clock, as missing, until events come again.
+//! - **Damaged times** cost only the events that have them; a time that jumps and stays there costs the ticks in between,
+//!   which are missing.
 //! - **A new life of ingest** goes on with the grid of ticks that the one before had opened.
 //!
 //! Standard input in lossless delivery is the exception: whoever writes it waits, nothing is lost, and nothing closes but

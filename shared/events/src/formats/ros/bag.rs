@@ -3,12 +3,11 @@
 //! the last of them is an index, which is not needed here.
 
 use super::chunk::{BAG, MAX_CHUNK_BYTES, decompress};
-use super::container::{Container, Next, Topics, wait_for};
+use super::container::{Chunked, Chunks, wait_for};
 use super::fields::{Fields, Layout, Short};
 use crate::{Input, SourceError};
 use std::collections::HashMap;
 use std::ops::Range;
-use std::path::Path;
 
 /// What every bag begins with.
 pub(in crate::formats) const MAGIC: &[u8] = b"#ROSBAG V";
@@ -26,17 +25,11 @@ const CONNECTION: u8 = 7;
 
 /// See the module.
 pub(super) struct Bag {
-    input: Input,
+    file: Chunks,
     /// Where the index begins; `None` in a bag that was not closed.
     index_at: Option<u64>,
-    topics: Topics,
     /// Topic of each connection.
     connections: HashMap<u32, usize>,
-    /// The chunk, decompressed, with what of it is not read yet.
-    chunk: Vec<u8>,
-    left: Range<usize>,
-    /// Place of the chunk in the file.
-    chunk_at: u64,
 }
 
 /// The fields of a header that matter.
@@ -83,55 +76,10 @@ impl Bag {
         }
         input.consume(FIRST_LINE.len());
         Ok(Self {
-            input,
+            file: Chunks::new(input),
             index_at: None,
-            topics: Topics::default(),
             connections: HashMap::new(),
-            chunk: Vec::new(),
-            left: 0..0,
-            chunk_at: 0,
         })
-    }
-
-    /// The next record of the file: a chunk is then in `chunk`. False at the end; `None` where it would wait although
-    /// it must not.
-    fn next_record(&mut self, may_wait: bool) -> Result<Option<bool>, SourceError> {
-        let start = self.input.position();
-        if self.index_at.is_some_and(|at| start >= at) {
-            return Ok(Some(false));
-        }
-        if !may_wait && !whole_record(self.input.buffered()) {
-            return Ok(None);
-        }
-        if !wait_for(&mut self.input, 4)? {
-            return self.end_of_input().map(Some);
-        }
-        let header_len = u32_at(self.input.buffered(), 0) as usize;
-        if header_len > MAX_HEADER_BYTES {
-            return Err(self.wrong(start, "has a header of more than 1 MiB; the recording is damaged"));
-        }
-        let before = 4 + header_len + 4;
-        if !wait_for(&mut self.input, before)? {
-            return Err(self.cut_off(start));
-        }
-        let bytes = self.input.buffered();
-        let data_len = u32_at(bytes, before - 4) as usize;
-        let header = Header::read(&bytes[4..before - 4]).map_err(|Short| self.damaged(start))?;
-        match header.op {
-            Some(BAG_HEADER) => self.index_at = header.index_at.filter(|at| *at > start),
-            Some(CHUNK) => return self.read_chunk(start, before, data_len).map(Some),
-            Some(INDEX | CHUNK_INFO | CONNECTION) => {}
-            Some(MESSAGE) => {
-                let what =
-                    "is a message outside of a chunk: the bag was not closed; run rosbag reindex on it";
-                return Err(self.wrong(start, what));
-            }
-            _ => return Err(self.damaged(start)),
-        }
-        if !self.input.skip((before + data_len) as u64)? {
-            return Err(self.cut_off(start));
-        }
-        Ok(Some(true))
     }
 
     fn read_chunk(&mut self, start: u64, before: usize, data_len: usize) -> Result<bool, SourceError> {
@@ -142,61 +90,26 @@ impl Bag {
             );
             return Err(self.wrong(start, &what));
         }
-        if !wait_for(&mut self.input, before + data_len)? {
+        if !wait_for(&mut self.file.input, before + data_len)? {
             return Err(self.cut_off(start));
         }
-        let bytes = self.input.buffered();
+        let bytes = self.file.input.buffered();
         let header = Header::read(&bytes[4..before - 4]).map_err(|Short| self.damaged(start))?;
         let (Some(compression), Some(size)) = (header.compression, header.size) else {
             return Err(self.damaged(start));
         };
         let body = &bytes[before..before + data_len];
-        decompress(compression, BAG, body, u64::from(size), &mut self.chunk)
+        decompress(compression, BAG, body, u64::from(size), &mut self.file.chunk)
             .map_err(|what| self.wrong(start, &what))?;
-        self.input.consume(before + data_len);
-        self.left = 0..self.chunk.len();
-        self.chunk_at = start;
+        self.file.input.consume(before + data_len);
+        self.file.left = 0..self.file.chunk.len();
+        self.file.chunk_at = start;
         Ok(true)
-    }
-
-    /// The next record of the chunk; the message if it is one.
-    fn next_in_chunk(&mut self) -> Result<Option<(usize, Range<usize>)>, String> {
-        const DAMAGED: &str = "holds a record that cannot be right; the recording is damaged";
-        let damaged = |Short| DAMAGED.to_owned();
-        let mut fields = Fields::packed(&self.chunk[..self.left.end]);
-        fields.go_to(self.left.start);
-        let header = fields.block().map_err(damaged)?;
-        let data = fields.block().map_err(damaged)?;
-        let end = fields.at();
-        let header = Header::read(header).map_err(damaged)?;
-        self.left.start = end;
-        match (header.op, header.connection) {
-            (Some(MESSAGE), Some(connection)) => {
-                let topic = self.connections.get(&connection).ok_or(DAMAGED)?;
-                Ok(Some((*topic, end - data.len()..end)))
-            }
-            (Some(CONNECTION), Some(connection)) => {
-                let about = Header::read(data).map_err(damaged)?;
-                // The connection may know it under another name.
-                let (Some(topic), Some(kind)) = (header.topic, about.kind) else {
-                    return Err(DAMAGED.to_owned());
-                };
-                let topic = self.topics.find(topic, kind, Some(Layout::Ros1))?;
-                if self.connections.len() >= MAX_CONNECTIONS && !self.connections.contains_key(&connection) {
-                    return Err(format!(
-                        "is of a bag with more than {MAX_CONNECTIONS} connections"
-                    ));
-                }
-                self.connections.insert(connection, topic);
-                Ok(None)
-            }
-            _ => Err(DAMAGED.to_owned()),
-        }
     }
 
     /// The bytes have ended where a record would begin.
     fn end_of_input(&mut self) -> Result<bool, SourceError> {
-        let (here, rest) = (self.input.position(), self.input.buffered().len());
+        let (here, rest) = (self.file.input.position(), self.file.input.buffered().len());
         if rest > 0 {
             return Err(self.cut_off(here));
         }
@@ -210,7 +123,7 @@ impl Bag {
                     .to_owned()
             }
         };
-        Err(SourceError::malformed(self.input.path(), what))
+        Err(SourceError::malformed(self.file.input.path(), what))
     }
 
     fn damaged(&self, start: u64) -> SourceError {
@@ -225,7 +138,7 @@ impl Bag {
     }
 
     fn wrong(&self, start: u64, what: &str) -> SourceError {
-        let path = self.input.path();
+        let path = self.file.input.path();
         SourceError::malformed(path, format!("the record at byte {start} {what}"))
     }
 }
@@ -245,41 +158,85 @@ fn u32_at(bytes: &[u8], at: usize) -> u32 {
     fields.u32().unwrap_or(0)
 }
 
-impl Container for Bag {
-    fn next(&mut self, may_wait: bool) -> Result<Next, SourceError> {
-        loop {
-            if self.left.is_empty() {
-                match self.next_record(may_wait)? {
-                    None => return Ok(Next::Later),
-                    Some(false) => return Ok(Next::End),
-                    Some(true) => {}
-                }
-            } else if let Some((topic, message)) = self.next_in_chunk().map_err(|what| {
-                let what = format!("the chunk at byte {} {what}", self.chunk_at);
-                SourceError::malformed(self.input.path(), what)
-            })? {
-                return Ok(Next::Message(topic, message));
-            }
+impl Chunked for Bag {
+    fn chunks(&self) -> &Chunks {
+        &self.file
+    }
+
+    fn chunks_mut(&mut self) -> &mut Chunks {
+        &mut self.file
+    }
+
+    fn next_record(&mut self, may_wait: bool) -> Result<Option<bool>, SourceError> {
+        let start = self.file.input.position();
+        if self.index_at.is_some_and(|at| start >= at) {
+            return Ok(Some(false));
         }
+        if !may_wait && !whole_record(self.file.input.buffered()) {
+            return Ok(None);
+        }
+        if !wait_for(&mut self.file.input, 4)? {
+            return self.end_of_input().map(Some);
+        }
+        let header_len = u32_at(self.file.input.buffered(), 0) as usize;
+        if header_len > MAX_HEADER_BYTES {
+            return Err(self.wrong(start, "has a header of more than 1 MiB; the recording is damaged"));
+        }
+        let before = 4 + header_len + 4;
+        if !wait_for(&mut self.file.input, before)? {
+            return Err(self.cut_off(start));
+        }
+        let bytes = self.file.input.buffered();
+        let data_len = u32_at(bytes, before - 4) as usize;
+        let header = Header::read(&bytes[4..before - 4]).map_err(|Short| self.damaged(start))?;
+        match header.op {
+            Some(BAG_HEADER) => self.index_at = header.index_at.filter(|at| *at > start),
+            Some(CHUNK) => return self.read_chunk(start, before, data_len).map(Some),
+            Some(INDEX | CHUNK_INFO | CONNECTION) => {}
+            Some(MESSAGE) => {
+                let what =
+                    "is a message outside of a chunk: the bag was not closed; run rosbag reindex on it";
+                return Err(self.wrong(start, what));
+            }
+            _ => return Err(self.damaged(start)),
+        }
+        if !self.file.input.skip((before + data_len) as u64)? {
+            return Err(self.cut_off(start));
+        }
+        Ok(Some(true))
     }
 
-    fn chunk(&self) -> &[u8] {
-        &self.chunk
-    }
-
-    fn path(&self) -> &Path {
-        self.input.path()
-    }
-
-    fn progress_permille(&self) -> u64 {
-        self.input.progress_permille()
-    }
-
-    fn topics(&self) -> &Topics {
-        &self.topics
-    }
-
-    fn topics_mut(&mut self) -> &mut Topics {
-        &mut self.topics
+    fn next_in_chunk(&mut self) -> Result<Option<(usize, Range<usize>)>, String> {
+        const DAMAGED: &str = "holds a record that cannot be right; the recording is damaged";
+        let damaged = |Short| DAMAGED.to_owned();
+        let mut fields = Fields::packed(&self.file.chunk[..self.file.left.end]);
+        fields.go_to(self.file.left.start);
+        let header = fields.block().map_err(damaged)?;
+        let data = fields.block().map_err(damaged)?;
+        let end = fields.at();
+        let header = Header::read(header).map_err(damaged)?;
+        self.file.left.start = end;
+        match (header.op, header.connection) {
+            (Some(MESSAGE), Some(connection)) => {
+                let topic = self.connections.get(&connection).ok_or(DAMAGED)?;
+                Ok(Some((*topic, end - data.len()..end)))
+            }
+            (Some(CONNECTION), Some(connection)) => {
+                let about = Header::read(data).map_err(damaged)?;
+                // The connection may know it under another name.
+                let (Some(topic), Some(kind)) = (header.topic, about.kind) else {
+                    return Err(DAMAGED.to_owned());
+                };
+                let topic = self.file.topics.find(topic, kind, Some(Layout::Ros1))?;
+                if self.connections.len() >= MAX_CONNECTIONS && !self.connections.contains_key(&connection) {
+                    return Err(format!(
+                        "is of a bag with more than {MAX_CONNECTIONS} connections"
+                    ));
+                }
+                self.connections.insert(connection, topic);
+                Ok(None)
+            }
+            _ => Err(DAMAGED.to_owned()),
+        }
     }
 }

@@ -53,6 +53,84 @@ pub(super) trait Container: Send {
     fn topics_mut(&mut self) -> &mut Topics;
 }
 
+/// What files of chunks have in common: the file, and the chunk that is being read.
+pub(super) struct Chunks {
+    pub(super) input: Input,
+    pub(super) topics: Topics,
+    /// The chunk, decompressed, or one record that is in none; with what of it is not read yet.
+    pub(super) chunk: Vec<u8>,
+    pub(super) left: Range<usize>,
+    /// Place of the chunk in the file.
+    pub(super) chunk_at: u64,
+}
+
+impl Chunks {
+    pub(super) fn new(input: Input) -> Self {
+        Self {
+            input,
+            topics: Topics::default(),
+            chunk: Vec::new(),
+            left: 0..0,
+            chunk_at: 0,
+        }
+    }
+}
+
+/// A file of records, some of which are chunks that hold records.
+pub(super) trait Chunked: Send {
+    /// What it has in common with others.
+    fn chunks(&self) -> &Chunks;
+
+    /// The same, to be changed.
+    fn chunks_mut(&mut self) -> &mut Chunks;
+
+    /// Reads the next record of the file: what of it matters is then in [`Chunks::chunk`]. False at the end; `None`
+    /// where it would wait although it must not.
+    fn next_record(&mut self, may_wait: bool) -> Result<Option<bool>, SourceError>;
+
+    /// Takes the next record of the chunk; its topic and place if it is a message.
+    fn next_in_chunk(&mut self) -> Result<Option<(usize, Range<usize>)>, String>;
+}
+
+impl<C: Chunked> Container for C {
+    fn next(&mut self, may_wait: bool) -> Result<Next, SourceError> {
+        loop {
+            if self.chunks().left.is_empty() {
+                match self.next_record(may_wait)? {
+                    None => return Ok(Next::Later),
+                    Some(false) => return Ok(Next::End),
+                    Some(true) => {}
+                }
+            } else if let Some((topic, message)) = self.next_in_chunk().map_err(|what| {
+                let what = format!("the chunk at byte {} {what}", self.chunks().chunk_at);
+                SourceError::malformed(self.chunks().input.path(), what)
+            })? {
+                return Ok(Next::Message(topic, message));
+            }
+        }
+    }
+
+    fn chunk(&self) -> &[u8] {
+        &self.chunks().chunk
+    }
+
+    fn path(&self) -> &Path {
+        self.chunks().input.path()
+    }
+
+    fn progress_permille(&self) -> u64 {
+        self.chunks().input.progress_permille()
+    }
+
+    fn topics(&self) -> &Topics {
+        &self.chunks().topics
+    }
+
+    fn topics_mut(&mut self) -> &mut Topics {
+        &mut self.chunks_mut().topics
+    }
+}
+
 /// The topics known so far.
 #[derive(Debug, Default)]
 pub(super) struct Topics(pub(super) Vec<Topic>);

@@ -2,12 +2,11 @@
 //! channels (topics) and messages; behind the last of them is a summary, which is not needed here.
 
 use super::chunk::{MAX_CHUNK_BYTES, MCAP, decompress};
-use super::container::{Container, Next, Topics, wait_for};
+use super::container::{Chunked, Chunks, Topics, wait_for};
 use super::fields::{Fields, Layout, Short};
 use crate::{Input, SourceError};
 use std::collections::HashMap;
 use std::ops::Range;
-use std::path::Path;
 
 /// What every file begins with.
 pub(in crate::formats) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -28,17 +27,11 @@ const DAMAGED: &str = "holds a record that cannot be right; the recording is dam
 
 /// See the module.
 pub(super) struct Mcap {
-    input: Input,
-    topics: Topics,
+    file: Chunks,
     /// Name of each schema that a channel may name: types of messages.
     schemas: HashMap<u16, Vec<u8>>,
     /// Topic of each channel.
     channels: HashMap<u16, usize>,
-    /// The chunk, decompressed, or one record that is in none; with what of it is not read yet.
-    chunk: Vec<u8>,
-    left: Range<usize>,
-    /// Place of the chunk in the file.
-    chunk_at: u64,
 }
 
 impl Mcap {
@@ -49,105 +42,14 @@ impl Mcap {
         }
         input.consume(MAGIC.len());
         Ok(Self {
-            input,
-            topics: Topics::default(),
+            file: Chunks::new(input),
             schemas: HashMap::new(),
             channels: HashMap::new(),
-            chunk: Vec::new(),
-            left: 0..0,
-            chunk_at: 0,
         })
     }
 
-    /// The next record of the file: one that matters is then in `chunk`. False at the end; `None` where it would wait
-    /// although it must not.
-    fn next_record(&mut self, may_wait: bool) -> Result<Option<bool>, SourceError> {
-        let start = self.input.position();
-        if !may_wait && !whole_record(self.input.buffered()) {
-            return Ok(None);
-        }
-        if !wait_for(&mut self.input, HEAD_BYTES)? {
-            let what = if self.input.buffered().is_empty() {
-                "ends without the record that should end it: it was cut off; get the rest of it, or run mcap recover \
-                 on it"
-                    .to_owned()
-            } else {
-                format!("the record at byte {start} {CUT_OFF}")
-            };
-            return Err(SourceError::malformed(self.input.path(), what));
-        }
-        let (kind, len) = head(self.input.buffered());
-        if matches!(kind, DATA_END | FOOTER) {
-            return Ok(Some(false));
-        }
-        if !matches!(kind, SCHEMA | CHANNEL | MESSAGE | CHUNK) {
-            let whole = self.input.skip((HEAD_BYTES as u64).saturating_add(len))?;
-            return if whole {
-                Ok(Some(true))
-            } else {
-                Err(self.wrong(start, CUT_OFF))
-            };
-        }
-        let fits = |len: &usize| *len <= MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES;
-        let Some(len) = usize::try_from(len).ok().filter(fits) else {
-            let what = format!(
-                "has {len} bytes, more than {} MiB; it is damaged, or write the recording with smaller chunks",
-                MAX_CHUNK_BYTES >> 20
-            );
-            return Err(self.wrong(start, &what));
-        };
-        if !wait_for(&mut self.input, HEAD_BYTES + len)? {
-            return Err(self.wrong(start, CUT_OFF));
-        }
-        let record = &self.input.buffered()[..HEAD_BYTES + len];
-        if kind == CHUNK {
-            unpack(&record[HEAD_BYTES..], &mut self.chunk).map_err(|what| self.wrong(start, &what))?;
-        } else {
-            self.chunk.clear();
-            self.chunk.extend_from_slice(record);
-        }
-        self.input.consume(HEAD_BYTES + len);
-        (self.left, self.chunk_at) = (0..self.chunk.len(), start);
-        Ok(Some(true))
-    }
-
-    /// The next record of the chunk; the message if it is one.
-    fn next_in_chunk(&mut self) -> Result<Option<(usize, Range<usize>)>, String> {
-        let damaged = |Short| DAMAGED.to_owned();
-        let mut fields = Fields::packed(&self.chunk[..self.left.end]);
-        fields.go_to(self.left.start);
-        let (kind, len) = head(fields.take(HEAD_BYTES).map_err(damaged)?);
-        let len = usize::try_from(len).map_err(|_| DAMAGED)?;
-        let start = fields.at();
-        let content = fields.take(len).map_err(damaged)?;
-        let end = fields.at();
-        self.left.start = end;
-        let mut fields = Fields::packed(content);
-        match kind {
-            SCHEMA => {
-                let id = fields.u16().map_err(damaged)?;
-                let name = fields.block().map_err(damaged)?;
-                let name = &name[..name.len().min(MAX_SCHEMA_NAME_BYTES)];
-                self.schemas.insert(id, name.to_owned());
-                Ok(None)
-            }
-            CHANNEL => {
-                let (id, topic) = channel(content, &self.schemas, &mut self.topics)?;
-                self.channels.insert(id, topic);
-                Ok(None)
-            }
-            MESSAGE => {
-                let id = fields.u16().map_err(damaged)?;
-                fields.take(MESSAGE_HEAD_BYTES - 2).map_err(damaged)?;
-                let topic = self.channels.get(&id).ok_or(DAMAGED)?;
-                Ok(Some((*topic, start + MESSAGE_HEAD_BYTES..end)))
-            }
-            _ => Ok(None),
-        }
-    }
-
     fn wrong(&self, start: u64, what: &str) -> SourceError {
-        let path = self.input.path();
+        let path = self.file.input.path();
         SourceError::malformed(path, format!("the record at byte {start} {what}"))
     }
 }
@@ -208,41 +110,96 @@ fn whole_record(bytes: &[u8]) -> bool {
     bytes.len() as u64 >= (HEAD_BYTES as u64).saturating_add(len)
 }
 
-impl Container for Mcap {
-    fn next(&mut self, may_wait: bool) -> Result<Next, SourceError> {
-        loop {
-            if self.left.is_empty() {
-                match self.next_record(may_wait)? {
-                    None => return Ok(Next::Later),
-                    Some(false) => return Ok(Next::End),
-                    Some(true) => {}
-                }
-            } else if let Some((topic, message)) = self.next_in_chunk().map_err(|what| {
-                let what = format!("the chunk at byte {} {what}", self.chunk_at);
-                SourceError::malformed(self.input.path(), what)
-            })? {
-                return Ok(Next::Message(topic, message));
-            }
+impl Chunked for Mcap {
+    fn chunks(&self) -> &Chunks {
+        &self.file
+    }
+
+    fn chunks_mut(&mut self) -> &mut Chunks {
+        &mut self.file
+    }
+
+    fn next_record(&mut self, may_wait: bool) -> Result<Option<bool>, SourceError> {
+        let start = self.file.input.position();
+        if !may_wait && !whole_record(self.file.input.buffered()) {
+            return Ok(None);
         }
+        if !wait_for(&mut self.file.input, HEAD_BYTES)? {
+            let what = if self.file.input.buffered().is_empty() {
+                "ends without the record that should end it: it was cut off; get the rest of it, or run mcap recover \
+                 on it"
+                    .to_owned()
+            } else {
+                format!("the record at byte {start} {CUT_OFF}")
+            };
+            return Err(SourceError::malformed(self.file.input.path(), what));
+        }
+        let (kind, len) = head(self.file.input.buffered());
+        if matches!(kind, DATA_END | FOOTER) {
+            return Ok(Some(false));
+        }
+        if !matches!(kind, SCHEMA | CHANNEL | MESSAGE | CHUNK) {
+            let whole = self.file.input.skip((HEAD_BYTES as u64).saturating_add(len))?;
+            return if whole {
+                Ok(Some(true))
+            } else {
+                Err(self.wrong(start, CUT_OFF))
+            };
+        }
+        let fits = |len: &usize| *len <= MAX_CHUNK_BYTES + CHUNK_HEAD_BYTES;
+        let Some(len) = usize::try_from(len).ok().filter(fits) else {
+            let what = format!(
+                "has {len} bytes, more than {} MiB; it is damaged, or write the recording with smaller chunks",
+                MAX_CHUNK_BYTES >> 20
+            );
+            return Err(self.wrong(start, &what));
+        };
+        if !wait_for(&mut self.file.input, HEAD_BYTES + len)? {
+            return Err(self.wrong(start, CUT_OFF));
+        }
+        let record = &self.file.input.buffered()[..HEAD_BYTES + len];
+        if kind == CHUNK {
+            unpack(&record[HEAD_BYTES..], &mut self.file.chunk).map_err(|what| self.wrong(start, &what))?;
+        } else {
+            self.file.chunk.clear();
+            self.file.chunk.extend_from_slice(record);
+        }
+        self.file.input.consume(HEAD_BYTES + len);
+        (self.file.left, self.file.chunk_at) = (0..self.file.chunk.len(), start);
+        Ok(Some(true))
     }
 
-    fn chunk(&self) -> &[u8] {
-        &self.chunk
-    }
-
-    fn path(&self) -> &Path {
-        self.input.path()
-    }
-
-    fn progress_permille(&self) -> u64 {
-        self.input.progress_permille()
-    }
-
-    fn topics(&self) -> &Topics {
-        &self.topics
-    }
-
-    fn topics_mut(&mut self) -> &mut Topics {
-        &mut self.topics
+    fn next_in_chunk(&mut self) -> Result<Option<(usize, Range<usize>)>, String> {
+        let damaged = |Short| DAMAGED.to_owned();
+        let mut fields = Fields::packed(&self.file.chunk[..self.file.left.end]);
+        fields.go_to(self.file.left.start);
+        let (kind, len) = head(fields.take(HEAD_BYTES).map_err(damaged)?);
+        let len = usize::try_from(len).map_err(|_| DAMAGED)?;
+        let start = fields.at();
+        let content = fields.take(len).map_err(damaged)?;
+        let end = fields.at();
+        self.file.left.start = end;
+        let mut fields = Fields::packed(content);
+        match kind {
+            SCHEMA => {
+                let id = fields.u16().map_err(damaged)?;
+                let name = fields.block().map_err(damaged)?;
+                let name = &name[..name.len().min(MAX_SCHEMA_NAME_BYTES)];
+                self.schemas.insert(id, name.to_owned());
+                Ok(None)
+            }
+            CHANNEL => {
+                let (id, topic) = channel(content, &self.schemas, &mut self.file.topics)?;
+                self.channels.insert(id, topic);
+                Ok(None)
+            }
+            MESSAGE => {
+                let id = fields.u16().map_err(damaged)?;
+                fields.take(MESSAGE_HEAD_BYTES - 2).map_err(damaged)?;
+                let topic = self.channels.get(&id).ok_or(DAMAGED)?;
+                Ok(Some((*topic, start + MESSAGE_HEAD_BYTES..end)))
+            }
+            _ => Ok(None),
+        }
     }
 }
