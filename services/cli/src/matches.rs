@@ -2,7 +2,6 @@
 
 use evpr_core::message::{Candidate, MatchHeader};
 use evpr_core::{Plan, Reason};
-use nix::unistd::{AccessFlags, access};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -127,12 +126,10 @@ impl MatchWriter {
                 (!about.is_file()).then(|| BufWriter::new(file))
             }
             Err(e) if e.kind() == io::ErrorKind::NotFound => {
-                let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-                let may = AccessFlags::W_OK | AccessFlags::X_OK;
-                access(folder.unwrap_or(Path::new(".")), may).map_err(|e| failed(e.into()))?;
-                if path.as_os_str().as_encoded_bytes().ends_with(b"/") {
-                    return Err(failed(io::ErrorKind::IsADirectory.into()));
-                }
+                // Whether it can be made is only known by making it.
+                File::create(path).map_err(failed)?;
+                let made = path.canonicalize().map_err(failed)?;
+                std::fs::remove_file(made).map_err(failed)?;
                 None
             }
             Err(e) => return Err(failed(e)),
