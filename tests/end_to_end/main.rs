@@ -12,6 +12,7 @@ mod demo;
 mod frames;
 mod live;
 mod members;
+mod networks;
 mod noise;
 mod replay;
 mod support;

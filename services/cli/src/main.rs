@@ -22,7 +22,7 @@ use tracing_subscriber::EnvFilter;
 
 /// Says what is logged, as in `EVPR_LOG=debug`.
 const LOG_VARIABLE: &str = "EVPR_LOG";
-const DEFAULT_LOG: &str = "info,iceoryx2=error,iceoryx2_log=off";
+const DEFAULT_LOG: &str = "info,iceoryx2=error,iceoryx2_log=off,ort=warn";
 /// With `--quiet`: what is degraded or wrong.
 const QUIET_LOG: &str = "warn,iceoryx2=error,iceoryx2_log=off";
 

@@ -318,6 +318,18 @@ impl Plan {
         all
     }
 
+    /// Whether the rest goes on without this service.
+    pub fn is_optional(&self, service: &Service) -> bool {
+        match service.kind {
+            ServiceKind::Reconstruct => self
+                .reconstructions
+                .get(service.index)
+                .is_some_and(|r| r.optional),
+            ServiceKind::Extract => self.extractors.get(service.index).is_some_and(|e| e.optional),
+            ServiceKind::Ingest | ServiceKind::Fuse | ServiceKind::Record => false,
+        }
+    }
+
     /// Number in headers of the service that runs reconstruction `index`.
     pub fn reconstruct_service(&self, index: usize) -> usize {
         1 + index

@@ -247,7 +247,13 @@ impl Supervisor {
             control: ChannelSender::new(hold(&node, &plan, &Topic::Control)?, identity, &stop, 1)?,
         };
         let control = ControlServer::start(&folder, wake_sender)?;
-        let processes = plan.services().into_iter().map(Process::new).collect();
+        let services = plan.services().into_iter();
+        let processes = services
+            .map(|s| {
+                let optional = plan.is_optional(&s);
+                Process::new(s, optional)
+            })
+            .collect();
         Ok(Self {
             plan,
             folder,
@@ -556,6 +562,16 @@ impl Supervisor {
         // What the dead one had sent is taken before its memory is cleaned up.
         self.hear(hooks)?;
         self.clean_up_nodes();
+        if exit == Exit::Failed && self.processes[index].optional {
+            let process = &mut self.processes[index];
+            process.dead_through = process.incarnation;
+            process.health = ServiceHealth::Down;
+            warn!(
+                "{} cannot go on; it is optional, and the run goes on without it",
+                process.service.name
+            );
+            return self.publish_lifecycle();
+        }
         if exit == Exit::Failed {
             self.failed = true;
             self.state = State::Stopping;

@@ -30,6 +30,8 @@ pub(super) enum Exit {
 #[derive(Debug)]
 pub(super) struct Process {
     pub(super) service: Service,
+    /// The rest goes on without it, whatever becomes of it.
+    pub(super) optional: bool,
     pub(super) child: Option<Child>,
     pub(super) incarnation: u32,
     pub(super) health: ServiceHealth,
@@ -52,9 +54,10 @@ pub(super) struct Process {
 }
 
 impl Process {
-    pub(super) fn new(service: Service) -> Self {
+    pub(super) fn new(service: Service, optional: bool) -> Self {
         Self {
             service,
+            optional,
             child: None,
             incarnation: 0,
             health: ServiceHealth::Up,
@@ -146,11 +149,12 @@ mod tests {
 
     #[test]
     fn backs_off_and_gives_up() {
-        let mut p = Process::new(Service {
+        let service = Service {
             kind: ServiceKind::Extract,
             index: 0,
             name: "extract/x".to_owned(),
-        });
+        };
+        let mut p = Process::new(service, false);
         let start = Instant::now();
         let waits: Vec<_> = (0..11)
             .map(|i| p.backoff(start + Duration::from_millis(i)))
