@@ -48,7 +48,7 @@ def into_environment():
     """Makes the virtual environment where it is not there yet, and runs this script in it."""
     environment = cache() / "export-venv"
     python = environment / "bin" / "python"
-    if Path(sys.prefix) == environment:
+    if Path(sys.prefix).resolve() == environment.resolve():
         return
     stamp = environment / "requirements.sha256"
     wanted = hashlib.sha256(REQUIREMENTS.read_bytes()).hexdigest()
@@ -104,7 +104,8 @@ def arguments():
         command.add_argument("--int8", action="store_true", help="quantise to 8 bit; needs --calibration, but for megaloc")
         command.add_argument("--calibration", type=Path, metavar="PATH", help=seen)
         if not network.extractor:
-            command.add_argument("--check", type=Path, metavar="NPZ", help="compare with a file's outputs y for its inputs x, in order")
+            said = "compare with a file's outputs y for its inputs x, in order"
+            command.add_argument("--check", type=Path, metavar="NPZ", help=said)
         else:
             command.add_argument("--batch", action="store_true", help="any number of images at once")
         if network.name == "e2vid":

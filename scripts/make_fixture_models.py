@@ -11,7 +11,6 @@ onnx's own NumPy evaluator, so the runtime under test has no part in them.
 from pathlib import Path
 
 import numpy as np
-import onnx
 from onnx import TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
 

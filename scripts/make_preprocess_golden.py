@@ -78,7 +78,8 @@ def main():
         print(f"{case}: {golden.shape}, differs from preprocess.py by {difference:.1e}")
         if difference > allowed:
             raise SystemExit(f"{case}: two independent ways differ by {difference:.1e}, more than {allowed:.1e}")
-        rows.append(f"| `{case}.npy` | `frame_{name}` | {how['color']}, {how['range']:g}, {how['mean']}, {how['std']} | {golden.shape} |")
+        said = f"{how['color']}, {how['range']:g}, {how['mean']}, {how['std']}"
+        rows.append(f"| `{case}.npy` | `frame_{name}` | {said} | {golden.shape} |")
     (OUT / "README.md").write_text(README + "\n".join(rows) + "\n")
 
 

@@ -115,6 +115,13 @@ def count(module):
     return sum(p.numel() for p in module.parameters()), counter.get_total_flops() // 2
 
 
+def zero_states(module, voxel):
+    """States for voxel grids of this shape, which may be another than the module is exported for."""
+    whole = module.inputs["voxel"]
+    shapes = [shape for name, shape in module.inputs.items() if name != "voxel"]
+    return [torch.zeros(1, c, h * voxel[2] // whole[2], w * voxel[3] // whole[3]) for _, c, h, w in shapes]
+
+
 def check_steps(module, file):
     """Feeds x (steps, 1, bins, H, W) in order from zero states and compares the images with y: the file's own outputs."""
     try:
@@ -127,12 +134,7 @@ def check_steps(module, file):
     with torch.no_grad():
         for voxel, want in zip(x, y):
             if states is None:
-                ratio = lambda shape, axis: shape[axis] * voxel.shape[axis] // module.inputs["voxel"][axis]
-                states = [
-                    torch.zeros(1, shape[1], ratio(shape, 2), ratio(shape, 3))
-                    for name, shape in module.inputs.items()
-                    if name != "voxel"
-                ]
+                states = zero_states(module, voxel.shape)
             image, *states = module(voxel, *states)
             worst = max(worst, (image - want).abs().max().item())
     note(f"{file}: the images differ by at most {worst:.2e} over {len(x)} steps")

@@ -1,5 +1,6 @@
 """8-bit networks: static for convolutions, dynamic for the transformer."""
 
+import logging
 import tempfile
 from pathlib import Path
 
@@ -67,6 +68,7 @@ class Reader(CalibrationDataReader):
 
 def quantise(model, module, entry, options):
     """The model with u8 activations and s8 weights, per channel; megaloc with its matrix products quantised as they run."""
+    logging.getLogger().setLevel(logging.ERROR)
     with tempfile.TemporaryDirectory(dir=options.out) as folder:
         whole, clean, small = (Path(folder) / name for name in ("whole.onnx", "clean.onnx", "int8.onnx"))
         whole.write_bytes(model.SerializeToString())
