@@ -14,6 +14,9 @@ const BUCKET_NS: u64 = 1_000_000_000;
 const OFFSET_BUCKETS: u64 = 10;
 /// Host time over which the drift is measured, in buckets.
 const DRIFT_BUCKETS: u64 = 120;
+/// Least buckets for it to be told whether the sensor keeps time with the host, and how far they may be apart, ns.
+const MIN_TIMELY_BUCKETS: usize = 5;
+const TIMELY_NS: i64 = 500_000_000;
 /// Least pairs of buckets apart, and least buckets, for a drift to be told.
 const MIN_DRIFT_BUCKETS: usize = 10;
 
@@ -61,12 +64,24 @@ impl SensorClock {
         }
     }
 
+    /// The least offsets of the last buckets, ns.
+    fn lately(&self) -> impl Iterator<Item = i64> {
+        let newest = self.least.back().map_or(0, |(bucket, _)| *bucket);
+        let lately = self.least.iter().rev();
+        let lately = lately.take_while(move |(bucket, _)| bucket + OFFSET_BUCKETS > newest);
+        lately.map(|(_, offset)| *offset)
+    }
+
     /// Host time minus sensor time, ns; `None` before the first event.
     pub(super) fn offset_ns(&self) -> Option<i64> {
-        let (newest, _) = *self.least.back()?;
-        let lately = self.least.iter().rev();
-        let lately = lately.take_while(|(bucket, _)| bucket + OFFSET_BUCKETS > newest);
-        lately.map(|(_, offset)| *offset).min()
+        self.lately().min()
+    }
+
+    /// Whether events have come at the pace of the host's clock lately, and not faster, as out of a file.
+    pub(super) fn keeps_time(&self) -> bool {
+        let (least, most) = (self.lately().min(), self.lately().max());
+        let apart = most.zip(least).map(|(most, least)| most.saturating_sub(least));
+        self.lately().count() >= MIN_TIMELY_BUCKETS && apart.is_some_and(|ns| ns < TIMELY_NS)
     }
 
     /// Sensor time at this host time, ns.
@@ -127,6 +142,18 @@ mod tests {
         clock.note(111 * S + 800, 12 * S);
         assert_eq!(clock.offset_ns(), Some(99 * S as i64 + 800));
         assert!(clock.delay_ns(1.0) >= 500);
+    }
+
+    #[test]
+    fn a_stream_that_comes_faster_than_time_does_not_keep_it() {
+        for (pace, keeps) in [(10, true), (12, false), (100, false)] {
+            let mut clock = SensorClock::default();
+            for tenth in 0..60 {
+                assert!(!clock.keeps_time() || tenth > 40);
+                clock.note(100 * S + tenth * S / 10, tenth * S / 10 * pace / 10);
+            }
+            assert_eq!(clock.keeps_time(), keeps, "{pace}");
+        }
     }
 
     #[test]

@@ -16,8 +16,8 @@ const BACK_NS: u64 = 1_000_000_000;
 /// Being ahead of both the event before and the host's clock by more than this is a step. A damaged time that is less
 /// ahead costs the events up to it, so it is small: a step that is none costs nothing but a short wait.
 const AHEAD_NS: u64 = 20_000_000;
-/// A step ahead that is real is a stretch without events, as in a stream that comes faster than time, up to this length;
-/// beyond it is a jump.
+/// A step ahead that is real is a stretch without events up to this length, and a jump beyond it, where the stream comes
+/// faster than time; where it has kept time with the host so far, [`BACK_NS`] is the limit.
 const QUIET_NS: u64 = 60_000_000_000;
 /// After a connection was lost: being off the host's clock by more than this, plus a thousandth of the time away, is a
 /// step.
@@ -217,7 +217,12 @@ impl Timeline {
 
     /// Whether such a step, if it is real, is another clock and not a stretch without events.
     fn is_jump(&self, arrival_ns: u64, t: u64) -> bool {
-        self.is_out_by(QUIET_NS, arrival_ns, t)
+        let quiet = if self.clock.keeps_time() {
+            BACK_NS
+        } else {
+            QUIET_NS
+        };
+        self.is_out_by(quiet, arrival_ns, t)
     }
 
     fn is_out_by(&self, ahead_ns: u64, arrival_ns: u64, t: u64) -> bool {
@@ -333,6 +338,20 @@ mod tests {
             );
             assert_eq!(timeline.take_damaged(), 0);
         }
+    }
+
+    #[test]
+    fn a_camera_that_kept_time_has_jumped_where_it_goes_ahead_of_it() {
+        let mut timeline = begun();
+        for t in run(6 * S + MS, 5_000) {
+            assert_eq!(admit(&mut timeline, 45 * S + t, &[t]), (vec![t], vec![]));
+        }
+        let (to, at) = (30 * S, 11 * S + 5 * MS);
+        let (times, steps) = admit(&mut timeline, 56 * S + 15 * MS, &run(to, 11));
+        assert_eq!((times, steps), (run(at, 11), vec![(0, true)]));
+        // By less than a second it is only quick.
+        let (times, steps) = admit(&mut timeline, 56 * S + 30 * MS, &run(to + 500 * MS, 11));
+        assert_eq!((times, steps), (run(at + 500 * MS, 11), vec![(0, false)]));
     }
 
     #[test]
