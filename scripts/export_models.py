@@ -182,7 +182,7 @@ def export(network, options):
     if options.int8:
         model = quantise.quantise(model, module, entry, options)
         entry["source"] += "; 8 bit by scripts/export_models.py"
-    temporary = onnx_file.save(model, model_registry.metadata(entry, identity), path)
+    temporary = onnx_file.save(model, model_registry.metadata(entry, identity, multiplications), path)
     try:
         if options.int8:
             quantise.compare(module, temporary, entry, options)

@@ -45,8 +45,8 @@ def reconstruction(*, multiple, states, licence, source, bins=5):
     }
 
 
-def metadata(entry, weights_sha256):
-    """The `metadata_props` of the file that `entry` describes; weights_sha256: of the weights' file, or "random:<seed>"."""
+def metadata(entry, weights_sha256, multiplications=None):
+    """The `metadata_props` of the file that `entry` describes; weights_sha256: of the weights' file, or "random:<seed>"; multiplications: with additions, for one image."""
     numbers = lambda values: ",".join(f"{v:g}" for v in values)
     props = {"kind": entry["kind"], "weights_sha256": weights_sha256, "source": entry["source"], "licence": entry["licence"]}
     if entry["kind"] == "extractor":
@@ -61,6 +61,8 @@ def metadata(entry, weights_sha256):
         }
     else:
         props |= {"bins": str(entry["bins"]), "multiple": str(entry["multiple"]), "states": ",".join(entry["states"])}
+    if multiplications is not None:
+        props["gmacs"] = f"{multiplications / 1e9:.4g}"
     return {f"evpr.{key}": value for key, value in props.items()}
 
 

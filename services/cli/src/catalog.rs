@@ -3,7 +3,7 @@
 use crate::failure::Failure;
 use evpr_core::Plan;
 use evpr_core::config::{self, Config, Overrides};
-use evpr_core::plan::{Catalog, Models, Sensor};
+use evpr_core::plan::{Catalog, Model, Models, Sensor};
 use evpr_onnx::Registry;
 use std::path::Path;
 
@@ -34,6 +34,16 @@ impl Networks {
         };
         let registry = found.unwrap_or_default();
         Ok(Self { registry, name })
+    }
+
+    /// The models, in the registry's order.
+    pub(crate) fn models(&self) -> &[Model] {
+        &self.registry.models
+    }
+
+    /// The registry, and that it is not there if it is not.
+    pub(crate) fn name(&self) -> &str {
+        &self.name
     }
 
     /// The executable's kinds and these networks.

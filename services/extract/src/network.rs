@@ -33,7 +33,7 @@ impl NetworkExtractor {
         };
         let library = Library::load(plan.inference.library.as_deref())?;
         let most = plan.members.iter().filter(|m| m.extractor == extractor).count();
-        let network = DescriptorNetwork::load(&library, network, &plan.inference, plan.sensor, most)?;
+        let network = DescriptorNetwork::load(&library, network, &plan.inference, Some(plan.sensor), most)?;
         let (channels, height, width) = network.input_shape();
         let input = channels * height * width;
         Ok(Some(Self {

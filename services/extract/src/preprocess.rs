@@ -251,6 +251,85 @@ mod tests {
         assert!((out[0]).abs() < 1e-4 && (out[1] - 3.0).abs() < 1e-4, "{out:?}");
     }
 
+    /// What PIL and torchvision make of the same frames (`tests/models/golden/preprocess`).
+    #[test]
+    fn inputs_are_those_of_torchvision() {
+        use ndarray::ArrayD;
+        let folder =
+            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/models/golden/preprocess");
+        let caffe = (Color::Bgr, 255.0, vec![103.939, 116.779, 123.68], vec![1.0; 3]);
+        let grey = (Color::Grey, 1.0, vec![0.5], vec![0.25]);
+        let imagenet = (
+            Color::Rgb,
+            1.0,
+            vec![0.485, 0.456, 0.406],
+            vec![0.229, 0.224, 0.225],
+        );
+        // A thousandth of a level, in units of the standard deviation; of grey half a level more, which PIL rounds away.
+        let tolerance = |levels: f64, range: f64, std: &[f64]| {
+            let narrowest = std.iter().copied().fold(f64::INFINITY, f64::min);
+            (levels / 255.0 * range / narrowest) as f32
+        };
+        for (file, frame, (color, range, mean, std), levels) in [
+            ("imagenet_bgr", "frame_bgr", &imagenet, 0.0001),
+            ("imagenet_one_channel", "frame_one_channel", &imagenet, 0.0001),
+            ("imagenet_bgr_32x20", "frame_bgr", &imagenet, 0.001),
+            (
+                "imagenet_one_channel_14x14",
+                "frame_one_channel",
+                &imagenet,
+                0.001,
+            ),
+            ("imagenet_large_28x42", "frame_large", &imagenet, 0.001),
+            ("caffe_bgr", "frame_bgr", &caffe, 0.0001),
+            ("caffe_large_20x31", "frame_large", &caffe, 0.001),
+            ("grey_bgr", "frame_bgr", &grey, 0.501),
+            ("grey_one_channel_13x40", "frame_one_channel", &grey, 0.001),
+        ] {
+            let pixels: ArrayD<u8> = ndarray_npy::read_npy(folder.join(format!("{frame}.npy"))).unwrap();
+            let expected: ArrayD<f32> = ndarray_npy::read_npy(folder.join(format!("{file}.npy"))).unwrap();
+            let sensor = Sensor {
+                height: pixels.shape()[0],
+                width: pixels.shape()[1],
+            };
+            let (height, width) = (expected.shape()[1], expected.shape()[2]);
+            let native = (height, width) == (sensor.height, sensor.width);
+            let p = Preprocessing {
+                input: if native {
+                    InputSize::Native
+                } else {
+                    InputSize::Fixed { height, width }
+                },
+                resize: if native {
+                    Resize::None
+                } else {
+                    Resize::AntialiasedBilinear
+                },
+                color: *color,
+                range: *range,
+                mean: mean.clone(),
+                std: std.clone(),
+            };
+            let view = FrameView {
+                channel_order: if pixels.ndim() == 3 {
+                    ChannelOrder::BlueGreenRed
+                } else {
+                    ChannelOrder::Grey
+                },
+                pixels: pixels.as_slice().unwrap(),
+            };
+            let mut out = vec![f32::NAN; expected.len()];
+            Preprocess::new(sensor, &p).apply(view, &mut out);
+            let worst = out
+                .iter()
+                .zip(expected.iter())
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f32::max);
+            let most = tolerance(levels, *range, std);
+            assert!(worst <= most, "{file}: they differ by {worst}, more than {most}");
+        }
+    }
+
     #[test]
     fn resizing_comes_before_normalising() {
         let p = Preprocessing {

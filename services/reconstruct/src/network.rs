@@ -60,7 +60,7 @@ impl NetworkMethod {
             return Ok(None);
         };
         let library = Library::load(plan.inference.library.as_deref()).map_err(LoadError::Network)?;
-        let network = FrameNetwork::load(&library, network, &plan.inference, plan.sensor);
+        let network = FrameNetwork::load(&library, network, &plan.inference, Some(plan.sensor));
         let network = network.map_err(LoadError::Network)?;
         let carry = r.params.text("state") == CARRY;
         if carry && !network.has_memory() {

@@ -49,7 +49,8 @@ impl Descriptors {
 }
 
 impl DescriptorNetwork {
-    /// Loads the network for frames of the sensor's size. `most` is the most frames that one tick has for it.
+    /// Loads the network for frames of the sensor's size, or of the size that its file fixes. `most` is the most frames
+    /// that one tick has for it.
     ///
     /// # Errors
     /// When its file is not the registry's, contradicts it, has other inputs or outputs than it says, or no provider
@@ -58,7 +59,7 @@ impl DescriptorNetwork {
         library: &Library,
         network: &Network,
         inference: &Inference,
-        sensor: Sensor,
+        sensor: Option<Sensor>,
         most: usize,
     ) -> Result<Self, OnnxError> {
         let model = &network.model;
@@ -70,9 +71,10 @@ impl DescriptorNetwork {
         else {
             return Err(wrong("is a reconstruction, and no extractor".to_owned()));
         };
-        let (height, width) = preprocessing.input.of(sensor.height, sensor.width);
         let channels = preprocessing.color.channels();
         let opened = open(library, network, inference)?;
+        let frame = opened.frame(sensor);
+        let (height, width) = preprocessing.input.of(frame.height, frame.width);
         let input = check_input(&opened, channels, height, width).map_err(wrong)?;
         let free_batch = check_output(&opened, input, &model.output, *dimension).map_err(wrong)?;
         let batch = match (network.batch, free_batch) {

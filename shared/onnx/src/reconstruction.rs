@@ -49,7 +49,7 @@ impl State {
 }
 
 impl FrameNetwork {
-    /// Loads the network for frames of the sensor's size.
+    /// Loads the network for frames of the sensor's size, or of the size that its file fixes.
     ///
     /// # Errors
     /// When its file is not the registry's, contradicts it, has other inputs or outputs than it says, or no provider
@@ -58,7 +58,7 @@ impl FrameNetwork {
         library: &Library,
         network: &Network,
         inference: &Inference,
-        sensor: Sensor,
+        sensor: Option<Sensor>,
     ) -> Result<Self, OnnxError> {
         let model = &network.model;
         let wrong = |problem: String| wrong_model(model, problem);
@@ -71,8 +71,9 @@ impl FrameNetwork {
             return Err(wrong("is an extractor, and no reconstruction".to_owned()));
         };
         let padded = |side: usize| side.div_ceil(*multiple) * multiple;
-        let (height, width) = (padded(sensor.height), padded(sensor.width));
         let opened = open(library, network, inference)?;
+        let frame = opened.frame(sensor);
+        let (height, width) = (padded(frame.height), padded(frame.width));
         let input = check_input(&opened, states, [1, *bins, height, width]).map_err(wrong)?;
         let states = states
             .iter()

@@ -6,7 +6,7 @@ use crate::error::{OnnxError, one_line};
 use crate::library::Library;
 use crate::memory;
 use crate::registry::sha256_of;
-use evpr_core::plan::{Inference, Model, Network, Provider};
+use evpr_core::plan::{Inference, Model, Network, Provider, Sensor};
 use ort::ep::{self, ExecutionProviderDispatch};
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
@@ -72,6 +72,26 @@ impl std::fmt::Display for Tensor {
             Dim::Free(name) => name.clone(),
         });
         write!(f, "{} [{}]", self.name, dims.collect::<Vec<_>>().join(", "))
+    }
+}
+
+/// Rows and columns of the frames that a network takes where no sensor says it: those that its file fixes, else these.
+const ANY_FRAME: Sensor = Sensor {
+    height: 260,
+    width: 346,
+};
+
+impl Opened {
+    /// The size of frames for the network: the sensor's, or the one that its only input of four lengths fixes.
+    pub(crate) fn frame(&self, sensor: Option<Sensor>) -> Sensor {
+        let fixed = self.inputs.iter().find_map(|input| match input.dims.as_deref() {
+            Some([_, _, Dim::Fixed(height), Dim::Fixed(width)]) => Some(Sensor {
+                height: *height,
+                width: *width,
+            }),
+            _ => None,
+        });
+        sensor.or(fixed).unwrap_or(ANY_FRAME)
     }
 }
 

@@ -51,12 +51,13 @@ const TINY: Sensor = Sensor {
 };
 
 fn descriptors(library: &Library, model: Model, sensor: Sensor) -> Result<DescriptorNetwork, String> {
-    DescriptorNetwork::load(library, &network(model), &Inference::default(), sensor, 4)
+    DescriptorNetwork::load(library, &network(model), &Inference::default(), Some(sensor), 4)
         .map_err(|e| e.to_string())
 }
 
 fn frames(library: &Library, model: Model, sensor: Sensor) -> Result<FrameNetwork, String> {
-    FrameNetwork::load(library, &network(model), &Inference::default(), sensor).map_err(|e| e.to_string())
+    FrameNetwork::load(library, &network(model), &Inference::default(), Some(sensor))
+        .map_err(|e| e.to_string())
 }
 
 fn assert_close(got: &[f32], expected: &ArrayD<f32>) {
@@ -94,7 +95,7 @@ fn descriptors_are_those_of_the_golden_arrays() {
         batch: Some(2),
         ..network(model("tiny_extractor"))
     };
-    let mut two = DescriptorNetwork::load(&library, &two, &Inference::default(), SMALL, 4).unwrap();
+    let mut two = DescriptorNetwork::load(&library, &two, &Inference::default(), Some(SMALL), 4).unwrap();
     assert_eq!(two.batch(), 2);
     let got = two.run(images.as_slice().unwrap(), 2).unwrap();
     for (index, expected) in expected.axis_iter(Axis(0)).enumerate() {
@@ -264,7 +265,7 @@ fn a_provider_that_cannot_start_is_an_error_unless_another_may_take_over() {
         ..Inference::default()
     };
     let load = |inference: &Inference| {
-        DescriptorNetwork::load(&library, &network(model("tiny_extractor")), inference, SMALL, 1)
+        DescriptorNetwork::load(&library, &network(model("tiny_extractor")), inference, None, 1)
     };
     match load(&inference) {
         Ok(network) => {
@@ -300,7 +301,8 @@ fn more_than_one_image_at_a_time_needs_a_network_that_takes_them() {
         batch: Some(3),
         ..network(model("tiny_fixed"))
     };
-    let problem = DescriptorNetwork::load(&library, &network, &Inference::default(), SMALL, 4).unwrap_err();
+    let problem =
+        DescriptorNetwork::load(&library, &network, &Inference::default(), Some(SMALL), 4).unwrap_err();
     assert!(
         problem.to_string().contains("it takes one image at a time"),
         "{problem}"

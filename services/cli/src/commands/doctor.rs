@@ -187,6 +187,24 @@ fn room(config: &Path) -> Result<Finding, Failure> {
     ))
 }
 
+/// ONNX Runtime is only needed by networks.
+fn onnx_runtime() -> Finding {
+    match evpr_onnx::Library::load(None) {
+        Ok(library) => finding(
+            "ONNX Runtime",
+            Verdict::Ok,
+            library.path().display().to_string(),
+            "",
+        ),
+        Err(e) => finding(
+            "ONNX Runtime",
+            Verdict::Warning,
+            e.to_string(),
+            "needed by networks only: run scripts/get-onnxruntime",
+        ),
+    }
+}
+
 /// `evpr doctor`: exit code 1 when something keeps evpr from running.
 pub(crate) fn doctor(args: &DoctorArgs) -> Result<ExitCode, Failure> {
     let instance = RunFolder::of_instance("doctor");
@@ -206,6 +224,7 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<ExitCode, Failure> {
         open_files(),
         processor(),
         clock(),
+        onnx_runtime(),
     ];
     if let Some(config) = &args.config {
         findings.push(room(config)?);

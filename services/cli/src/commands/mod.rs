@@ -7,6 +7,7 @@ mod events;
 mod graph;
 mod map;
 mod member;
+mod models;
 pub(crate) mod run;
 mod sequence_match;
 mod service;
@@ -28,6 +29,7 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::Map(command) => map::map(command),
         Command::Events(command) => events::events(command),
         Command::Dataset(command) => dataset::dataset(&command),
+        Command::Models(command) => models::models(&command),
         Command::Member(command) => member::member(command),
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),
