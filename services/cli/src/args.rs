@@ -56,6 +56,8 @@ pub(crate) enum Command {
     /// Members of a running instance: list them, switch them, weigh them
     #[command(subcommand)]
     Member(MemberCommand),
+    /// Recall of recorded traverses: subsets of members, sequence methods and rules in one run
+    Evaluate(EvaluateArgs),
     /// The sequence matcher alone: a similarity matrix in, matched scores out
     SequenceMatch(SequenceMatchArgs),
     /// Check a configuration; prints all mistakes at once
@@ -500,6 +502,100 @@ pub(crate) struct SequenceMatchArgs {
     /// The array to write, queries × references, f64
     #[arg(short, long, value_name = "T.npy")]
     pub(crate) out: PathBuf,
+}
+
+/// Which axis of a ground-truth matrix the queries are on.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum OrientationArg {
+    /// A row for each query
+    QueryReference,
+    /// A row for each reference
+    ReferenceQuery,
+}
+
+impl From<OrientationArg> for evpr_store::Orientation {
+    fn from(arg: OrientationArg) -> Self {
+        match arg {
+            OrientationArg::QueryReference => Self::QueryReference,
+            OrientationArg::ReferenceQuery => Self::ReferenceQuery,
+        }
+    }
+}
+
+/// Pairs of traverses, and which answers are right.
+#[derive(Debug, Parser)]
+pub(crate) struct PairArgs {
+    /// The reference map
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) reference: Option<PathBuf>,
+    /// The query traverse
+    #[arg(short, long, value_name = "DIR", requires = "reference")]
+    pub(crate) query: Option<PathBuf>,
+    /// Right pairs (.csv of query_id,reference_id), a matrix (.npy), or "positions": those of the traverses
+    #[arg(short, long, value_name = "FILE", requires = "reference")]
+    pub(crate) ground_truth: Option<PathBuf>,
+    /// With positions: right is what lies within so many metres
+    #[arg(long, value_name = "M", default_value_t = 25.0)]
+    pub(crate) tolerance_m: f64,
+    /// With a file: places so many ticks away from a right one are right too
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) tolerance_frames: usize,
+    /// Of a matrix whose shape does not tell
+    #[arg(long, value_name = "AXES")]
+    pub(crate) orientation: Option<OrientationArg>,
+    /// A list of pairs (TOML) instead
+    #[arg(short, long, value_name = "FILE", conflicts_with = "reference")]
+    pub(crate) pairs: Option<PathBuf>,
+    /// Only these members, such as event_count@*/hog; all when left out
+    #[arg(short, long, value_name = "MEMBER", value_delimiter = ',')]
+    pub(crate) members: Vec<String>,
+}
+
+impl PairArgs {
+    /// What was named on the command line and is read.
+    pub(crate) fn folders(&self) -> Vec<&std::path::Path> {
+        let paths = [&self.reference, &self.query, &self.ground_truth, &self.pairs];
+        paths.into_iter().flatten().map(PathBuf::as_path).collect()
+    }
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct EvaluateArgs {
+    #[command(flatten)]
+    pub(crate) pairs: PairArgs,
+    /// Where to write results.csv and results.json; an interrupted run goes on from what is there
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) out: PathBuf,
+    /// Ensembles: single, temporal, reconstruction, extractor, combined, or none; all when left out
+    #[arg(long, value_name = "KIND", value_delimiter = ',')]
+    pub(crate) subsets: Vec<String>,
+    /// An ensemble with a name: NAME=MEMBER,MEMBER; may be repeated
+    #[arg(long, value_name = "NAME=MEMBERS")]
+    pub(crate) subset: Vec<String>,
+    /// Sequence lengths, ticks
+    #[arg(short, long, value_name = "L", value_delimiter = ',', default_value = "10")]
+    pub(crate) length: Vec<usize>,
+    /// Sequence methods
+    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "paper")]
+    pub(crate) method: Vec<String>,
+    /// Fusion rules
+    #[arg(long, value_name = "RULE", value_delimiter = ',', default_value = "sum")]
+    pub(crate) rule: Vec<String>,
+    /// Similarities
+    #[arg(long, value_name = "SIMILARITY", value_delimiter = ',', default_value = "l2")]
+    pub(crate) similarity: Vec<String>,
+    /// For the confidence: candidates within so many references of the best are no rivals
+    #[arg(long, value_name = "N", default_value_t = 5)]
+    pub(crate) exclusion: usize,
+    /// Memory for scores and sequences, MiB, besides the mapped rows
+    #[arg(long, value_name = "MIB", default_value_t = 2048, value_parser = clap::value_parser!(u64).range(16..1 << 24))]
+    pub(crate) memory: u64,
+    /// No progress and no table
+    #[arg(long)]
+    pub(crate) quiet: bool,
+    /// All rows as JSON
+    #[arg(long)]
+    pub(crate) json: bool,
 }
 
 #[derive(Debug, Subcommand)]

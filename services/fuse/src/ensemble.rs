@@ -94,6 +94,11 @@ impl Ensemble {
         &self.fused
     }
 
+    /// Which references could be the answer of the last [`Ensemble::fuse`]: those that a part had a row for.
+    pub fn eligible(&self) -> &[bool] {
+        &self.eligible
+    }
+
     /// The best candidates of the last [`Ensemble::fuse`], best first, ties by index.
     pub fn candidates(&self) -> &[Candidate] {
         &self.candidates

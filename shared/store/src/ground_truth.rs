@@ -254,6 +254,36 @@ impl GroundTruth {
         })
     }
 
+    /// The same, with all references that lie at most `frames` ticks from a right one counted as right too.
+    ///
+    /// # Errors
+    /// When there are too many pairs to hold (16 Mi).
+    pub fn widened(&self, frames: usize) -> Result<Self, StoreError> {
+        let mut starts = vec![0];
+        let mut right = Vec::new();
+        for query in 0..self.queries() {
+            let mut next = 0;
+            for reference in self.matches(query) {
+                let reference = *reference as usize;
+                let from = reference.saturating_sub(frames).max(next);
+                next = reference
+                    .saturating_add(frames)
+                    .saturating_add(1)
+                    .min(self.references);
+                if right.len() + next.saturating_sub(from) > MAX_PAIRS {
+                    return Err(StoreError::GroundTruth(too_many()));
+                }
+                right.extend((from..next).map(|r| r as u32));
+            }
+            starts.push(right.len());
+        }
+        Ok(Self {
+            references: self.references,
+            starts,
+            right,
+        })
+    }
+
     /// Number of queries.
     pub fn queries(&self) -> usize {
         self.starts.len() - 1
@@ -346,6 +376,16 @@ mod tests {
         for bad in [-1.0, f64::NAN, f64::INFINITY] {
             assert!(GroundTruth::from_positions(&queries, &references, bad).is_err());
         }
+    }
+
+    #[test]
+    fn widened_by_frames_without_going_past_the_ends() {
+        let truth = GroundTruth::from_list(vec![(0, 0), (0, 2), (0, 7), (2, 9)], 3, 10).unwrap();
+        assert_eq!(truth.widened(0).unwrap(), truth);
+        let wide = truth.widened(1).unwrap();
+        assert_eq!(wide.matches(0), [0, 1, 2, 3, 6, 7, 8]);
+        assert_eq!((wide.matches(1), wide.matches(2)), (&[][..], &[8, 9][..]));
+        assert_eq!(truth.widened(99).unwrap().matches(2).len(), 10);
     }
 
     #[test]

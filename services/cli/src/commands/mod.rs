@@ -3,6 +3,7 @@
 mod dataset;
 mod demo;
 mod doctor;
+mod evaluate;
 mod events;
 mod graph;
 mod map;
@@ -31,6 +32,7 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::Dataset(command) => dataset::dataset(&command),
         Command::Models(command) => models::models(&command),
         Command::Member(command) => member::member(command),
+        Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),
         Command::Graph(args) => graph::graph(&args),

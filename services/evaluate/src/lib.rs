@@ -1,0 +1,28 @@
+//! Evaluation of recorded traverses: which answers each ensemble gives, and how many of them are right.
+//!
+//! A [`Pair`] is a reference map, a query traverse and the ground truth between them. A [`Spec`] says what is compared:
+//! members and subsets of them, similarities, sequence methods, lengths and fusion rules. [`evaluate`] streams the
+//! queries of each pair once: every similarity row is computed once and shared by all configurations, every matched
+//! score once per method and length. The answers come from the functions of `evpr-fuse` that the running fuser calls.
+//! What comes out is one [`Row`] per configuration.
+
+mod error;
+mod evaluate;
+mod fusion;
+mod measure;
+mod outcome;
+mod pair;
+mod results;
+mod spec;
+mod subsets;
+mod sweep;
+
+pub use error::EvaluateError;
+pub use evaluate::{Progress, evaluate};
+pub use measure::{FRAMES, KS, Measures, PrecisionRecall, Share, TOLERANCES_M, measure};
+pub use outcome::Outcome;
+pub use pair::{Pair, PairSpec, PairsFile, Truth};
+pub use results::{Results, Row};
+pub use spec::{Configuration, Spec, SubsetChoice};
+pub use subsets::{MemberName, Subset, SubsetKind, subsets};
+pub use sweep::bytes_needed;

@@ -1,0 +1,471 @@
+//! A reference map, a query traverse, and which places are right.
+
+use crate::error::EvaluateError;
+use evpr_store::{GroundTruth, Manifest, MemberRows, Orientation, Traverse};
+use rayon::prelude::*;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Largest file of pairs, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// Where it is said which places are right.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Truth {
+    /// The positions in both traverses: right is what lies within so many metres.
+    Positions {
+        /// Metres.
+        tolerance_m: f64,
+    },
+    /// A file: pairs (`.csv`) or a matrix (`.npy`); besides what it names, places so many ticks away are right too.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Ticks of the map.
+        tolerance_frames: usize,
+        /// Of a matrix whose shape does not say which axis the queries are on.
+        orientation: Option<Orientation>,
+    },
+}
+
+/// What a pair is made of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairSpec {
+    /// Its name in results.
+    pub name: String,
+    /// The reference map's folder.
+    pub reference: PathBuf,
+    /// The query traverse's folder.
+    pub query: PathBuf,
+    /// Which places are right.
+    pub truth: Truth,
+}
+
+/// A file of pairs:
+///
+/// ```toml
+/// [[pair]]
+/// name = "sunset1-night"          # default: reference-query, by their folders
+/// reference = "maps/sunset1"      # relative to the file
+/// query = "traverses/night"
+/// ground_truth = "positions"      # or a .csv of query_id,reference_id, or a .npy matrix
+/// tolerance_m = 25.0              # with positions
+/// # tolerance_frames = 2          # with a file
+/// # orientation = "query_reference"
+///
+/// [subsets]
+/// fast = ["event_count@250ms/*"]
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PairsFile {
+    /// The pairs.
+    pub pairs: Vec<PairSpec>,
+    /// Subsets with names.
+    pub subsets: BTreeMap<String, Vec<String>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileText {
+    #[serde(default)]
+    pair: Vec<PairText>,
+    #[serde(default)]
+    subsets: BTreeMap<String, Vec<String>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PairText {
+    name: Option<String>,
+    reference: PathBuf,
+    query: PathBuf,
+    ground_truth: String,
+    tolerance_m: Option<f64>,
+    tolerance_frames: Option<usize>,
+    orientation: Option<String>,
+}
+
+/// The name of a pair that has none.
+fn default_name(reference: &Path, query: &Path) -> String {
+    let name = |path: &Path| {
+        path.file_name().map_or_else(
+            || path.display().to_string(),
+            |n| n.to_string_lossy().into_owned(),
+        )
+    };
+    format!("{}-{}", name(reference), name(query))
+}
+
+impl PairSpec {
+    /// A pair named after its folders.
+    pub fn new(reference: PathBuf, query: PathBuf, truth: Truth) -> Self {
+        Self {
+            name: default_name(&reference, &query),
+            reference,
+            query,
+            truth,
+        }
+    }
+}
+
+impl PairsFile {
+    /// Reads a file of pairs.
+    ///
+    /// # Errors
+    /// When it cannot be read, is not such a file, or has two pairs of one name.
+    pub fn read(path: &Path) -> Result<Self, EvaluateError> {
+        use std::io::Read;
+        let file = std::fs::File::open(path).map_err(EvaluateError::io("open", path))?;
+        let mut text = String::new();
+        file.take(MAX_FILE_BYTES)
+            .read_to_string(&mut text)
+            .map_err(EvaluateError::io("read", path))?;
+        let bad = |reason: String| EvaluateError::bad(path, reason);
+        let parsed: FileText =
+            toml::from_str(&text).map_err(|e| bad(e.to_string().trim().replace('\n', " ")))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut pairs: Vec<PairSpec> = Vec::new();
+        for p in parsed.pair {
+            let (reference, query) = (folder.join(&p.reference), folder.join(&p.query));
+            let name = p.name.unwrap_or_else(|| default_name(&reference, &query));
+            let in_pair = |reason: &str| bad(format!("pair {name}: {reason}"));
+            let orientation = match p.orientation.as_deref() {
+                None => None,
+                Some("query_reference") => Some(Orientation::QueryReference),
+                Some("reference_query") => Some(Orientation::ReferenceQuery),
+                Some(_) => {
+                    return Err(in_pair("orientation is query_reference or reference_query"));
+                }
+            };
+            let truth = if p.ground_truth == "positions" {
+                if p.tolerance_frames.is_some() || orientation.is_some() {
+                    return Err(in_pair(
+                        "with positions the tolerance is tolerance_m, and there is no orientation",
+                    ));
+                }
+                Truth::Positions {
+                    tolerance_m: p.tolerance_m.unwrap_or(25.0),
+                }
+            } else if p.tolerance_m.is_some() {
+                return Err(in_pair("with a file the tolerance is tolerance_frames"));
+            } else {
+                Truth::File {
+                    path: folder.join(&p.ground_truth),
+                    tolerance_frames: p.tolerance_frames.unwrap_or(0),
+                    orientation,
+                }
+            };
+            if name.is_empty() || name.contains(['|', '\n', '\r', '"']) {
+                return Err(in_pair("a name is not empty and has no |, quotes or line breaks"));
+            }
+            if pairs.iter().any(|other| other.name == name) {
+                return Err(in_pair("another pair has this name; give each its own"));
+            }
+            pairs.push(PairSpec {
+                name,
+                reference,
+                query,
+                truth,
+            });
+        }
+        if pairs.is_empty() {
+            return Err(bad("it has no pair; add a [[pair]]".to_owned()));
+        }
+        Ok(Self {
+            pairs,
+            subsets: parsed.subsets,
+        })
+    }
+}
+
+/// A member of both traverses.
+#[derive(Debug, Clone)]
+pub(crate) struct PairMember {
+    pub(crate) reference: MemberRows,
+    pub(crate) query: MemberRows,
+}
+
+/// A pair that is ready to be evaluated: everything that could be wrong with it was looked at.
+#[derive(Debug)]
+pub struct Pair {
+    pub(crate) name: String,
+    pub(crate) members: Vec<String>,
+    pub(crate) rows: Vec<PairMember>,
+    pub(crate) truth: GroundTruth,
+    /// Start and end of each query tick, µs.
+    pub(crate) times_us: Vec<(u64, u64)>,
+    pub(crate) query_positions: Vec<Option<[f64; 2]>>,
+    pub(crate) reference_positions: Vec<Option<[f64; 2]>>,
+    /// How far the nearest place is from each query, metres, where that is known.
+    pub(crate) nearest_m: Vec<Option<f64>>,
+    /// What decides whether two results are of the same pair.
+    pub(crate) identity: BTreeMap<String, String>,
+}
+
+impl Pair {
+    /// Opens a pair. `members` are names or patterns; empty for all, which then must be the same on both sides.
+    ///
+    /// # Errors
+    /// One line: a traverse or the ground truth cannot be read; sensor, ticks or a member's parameters differ; a member is
+    /// missing in one of them; a row holds a number that is not finite; no query has a right answer.
+    pub fn open(spec: &PairSpec, members: &[String]) -> Result<Self, EvaluateError> {
+        let (reference, query) = (Traverse::open(&spec.reference)?, Traverse::open(&spec.query)?);
+        let wrong = |reason: String| EvaluateError::pair(&spec.name, reason);
+        check_alike(reference.manifest(), query.manifest()).map_err(wrong)?;
+        let names = member_names(reference.manifest(), query.manifest(), members).map_err(wrong)?;
+        let rows: Vec<PairMember> = names
+            .iter()
+            .map(|name| {
+                Ok(PairMember {
+                    reference: reference.member(name)?,
+                    query: query.member(name)?,
+                })
+            })
+            .collect::<Result<_, EvaluateError>>()?;
+        for (name, rows) in names.iter().zip(&rows) {
+            check_rows(name, rows).map_err(wrong)?;
+        }
+        let positions = |t: &Traverse| t.ticks().iter().map(|t| t.position).collect::<Vec<_>>();
+        let (query_positions, reference_positions) = (positions(&query), positions(&reference));
+        let truth = match &spec.truth {
+            Truth::Positions { tolerance_m } => {
+                for (side, path, known) in [
+                    ("reference", &spec.reference, &reference_positions),
+                    ("query", &spec.query, &query_positions),
+                ] {
+                    if known.iter().all(Option::is_none) {
+                        return Err(wrong(format!(
+                            "the {side} {} has no positions; give a file of right pairs instead",
+                            path.display()
+                        )));
+                    }
+                }
+                GroundTruth::from_positions(&query_positions, &reference_positions, *tolerance_m)?
+            }
+            Truth::File {
+                path,
+                tolerance_frames,
+                orientation,
+            } => {
+                let (q, r) = (query.len(), reference.len());
+                let truth = if path.extension().is_some_and(|e| e == "npy") {
+                    GroundTruth::from_npy(path, q, r, *orientation)?.0
+                } else {
+                    GroundTruth::from_pairs(path, q, r)?
+                };
+                truth.widened(*tolerance_frames)?
+            }
+        };
+        if truth.with_match() == 0 {
+            return Err(wrong(
+                "no query has a right answer, so there is nothing to measure; check the ground truth and its tolerance"
+                    .to_owned(),
+            ));
+        }
+        Ok(Self {
+            identity: identity(spec, &reference, &query, &truth),
+            name: spec.name.clone(),
+            members: names,
+            rows,
+            truth,
+            nearest_m: nearest_m(&query_positions, &reference_positions),
+            times_us: query.ticks().iter().map(|t| (t.start_us, t.end_us)).collect(),
+            query_positions,
+            reference_positions,
+        })
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its members, in the map's order.
+    pub fn members(&self) -> &[String] {
+        &self.members
+    }
+
+    /// Which places are right.
+    pub fn truth(&self) -> &GroundTruth {
+        &self.truth
+    }
+
+    /// Ticks of the query traverse.
+    pub fn queries(&self) -> usize {
+        self.times_us.len()
+    }
+
+    /// Ticks of the map.
+    pub fn references(&self) -> usize {
+        self.reference_positions.len()
+    }
+}
+
+/// Sensor and ticks of the two must be alike.
+fn check_alike(reference: &Manifest, query: &Manifest) -> Result<(), String> {
+    if reference.sensor != query.sensor {
+        return Err(format!(
+            "the sensor is {} in the reference and {} in the query; record both with one sensor",
+            reference.sensor, query.sensor
+        ));
+    }
+    let (a, b) = (&reference.slicing, &query.slicing);
+    if (a.mode, a.tick) != (b.mode, b.tick) {
+        return Err(format!(
+            "a tick is {} in the reference and {} in the query; record both with one slicing",
+            a.tick_id(),
+            b.tick_id()
+        ));
+    }
+    Ok(())
+}
+
+/// The members that are evaluated.
+fn member_names(reference: &Manifest, query: &Manifest, wanted: &[String]) -> Result<Vec<String>, String> {
+    let names = |m: &Manifest| m.members.iter().map(|m| m.name.clone()).collect::<Vec<_>>();
+    let (of_reference, of_query) = (names(reference), names(query));
+    let chosen = |name: &&String| wanted.is_empty() || wanted.iter().any(|w| crate::spec::matches(w, name));
+    for (side, other, these, those) in [
+        ("query", "reference", &of_query, &of_reference),
+        ("reference", "query", &of_reference, &of_query),
+    ] {
+        let lacks: Vec<&str> = those
+            .iter()
+            .filter(chosen)
+            .filter(|name| !these.contains(name))
+            .map(String::as_str)
+            .collect();
+        if !lacks.is_empty() {
+            return Err(format!(
+                "the {side} has no rows of {}, which the {other} has; record it with these members, or name those to \
+                 evaluate with --members",
+                lacks.join(", ")
+            ));
+        }
+    }
+    if let Some(unknown) = wanted
+        .iter()
+        .find(|w| !of_reference.iter().any(|name| crate::spec::matches(w, name)))
+    {
+        return Err(format!(
+            "no member is {unknown}; there are {}",
+            of_reference.join(", ")
+        ));
+    }
+    let found: Vec<String> = of_reference.iter().filter(chosen).cloned().collect();
+    if found.len() > evpr_core::member::MAX_MEMBERS {
+        return Err(format!(
+            "{} members are more than {}; name fewer with --members",
+            found.len(),
+            evpr_core::member::MAX_MEMBERS
+        ));
+    }
+    for name in &found {
+        let entry = |m: &Manifest| {
+            m.members
+                .iter()
+                .find(|e| e.name == *name)
+                .map(|e| e.fingerprint.clone())
+        };
+        let (a, b) = (
+            entry(reference).unwrap_or_default(),
+            entry(query).unwrap_or_default(),
+        );
+        let differs = a.keys().chain(b.keys()).find(|key| a.get(*key) != b.get(*key));
+        if let Some(key) = differs {
+            let value =
+                |of: &BTreeMap<String, String>| of.get(key).map_or("(none)", String::as_str).to_owned();
+            return Err(format!(
+                "{key} of member {name} is {} in the reference and {} in the query; record both with one configuration",
+                value(&a),
+                value(&b)
+            ));
+        }
+    }
+    Ok(found)
+}
+
+/// Rows must be finite, of one length, and there at all.
+fn check_rows(name: &str, rows: &PairMember) -> Result<(), String> {
+    for (side, member) in [("reference", &rows.reference), ("query", &rows.query)] {
+        if !member.present().contains(&true) {
+            return Err(format!(
+                "member {name} has no row in the {side}; leave it out with --members"
+            ));
+        }
+        let each = member
+            .rows()
+            .par_chunks(member.dim().max(1))
+            .zip(member.present());
+        let broken = each.position_first(|(row, present)| *present && !row.iter().all(|v| v.is_finite()));
+        if let Some(tick) = broken {
+            return Err(format!(
+                "the {side}'s row of member {name} at tick {tick} is not finite; record it again"
+            ));
+        }
+    }
+    if rows.reference.dim() != rows.query.dim() {
+        return Err(format!(
+            "rows of member {name} have {} values in the reference and {} in the query; record both with one configuration",
+            rows.reference.dim(),
+            rows.query.dim()
+        ));
+    }
+    Ok(())
+}
+
+fn nearest_m(queries: &[Option<[f64; 2]>], references: &[Option<[f64; 2]>]) -> Vec<Option<f64>> {
+    let nearest = |query: &Option<[f64; 2]>| {
+        let [east, north] = (*query)?;
+        let distances = references.iter().flatten();
+        distances
+            .map(|r| (east - r[0]).hypot(north - r[1]))
+            .min_by(f64::total_cmp)
+    };
+    queries.par_iter().map(nearest).collect()
+}
+
+fn identity(
+    spec: &PairSpec,
+    reference: &Traverse,
+    query: &Traverse,
+    truth: &GroundTruth,
+) -> BTreeMap<String, String> {
+    let path = |path: &Path| {
+        let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        path.display().to_string()
+    };
+    let mut right = Digest::default();
+    for query in 0..truth.queries() {
+        right.add(query as u64 ^ u64::MAX);
+        truth.matches(query).iter().for_each(|r| right.add(u64::from(*r)));
+    }
+    [
+        ("reference", path(&spec.reference)),
+        ("query", path(&spec.query)),
+        ("reference_ticks", reference.len().to_string()),
+        ("query_ticks", query.len().to_string()),
+        ("ground_truth", format!("{:016x}", right.0)),
+    ]
+    .into_iter()
+    .map(|(key, value)| (key.to_owned(), value))
+    .collect()
+}
+
+/// FNV-1a over 64-bit numbers: tells a changed ground truth from the old one.
+struct Digest(u64);
+
+impl Default for Digest {
+    fn default() -> Self {
+        Self(0xcbf2_9ce4_8422_2325)
+    }
+}
+
+impl Digest {
+    fn add(&mut self, number: u64) {
+        for byte in number.to_le_bytes() {
+            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+}
