@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::output::say;
 use evpr_core::Plan;
 use evpr_core::config::Overrides;
+use evpr_core::plan::{Network, ServiceKind};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -32,12 +33,49 @@ struct ChannelRow {
     delivery: &'static str,
 }
 
+/// A network, and what its process may use of the machine.
+#[derive(Debug, Serialize)]
+struct NetworkRow {
+    process: String,
+    model: String,
+    threads: usize,
+    /// The most frames computed at once; none: as the provider gains from it.
+    batch: Option<usize>,
+    optional: bool,
+}
+
+fn networks(plan: &Plan) -> Vec<NetworkRow> {
+    let network = |process: String, network: &Option<Network>, optional: bool| {
+        network.as_ref().map(|network| NetworkRow {
+            process,
+            model: network.model.id.clone(),
+            threads: network.threads,
+            batch: network.batch,
+            optional,
+        })
+    };
+    let services = plan.services().into_iter();
+    let rows = services.filter_map(|service| match service.kind {
+        ServiceKind::Reconstruct => {
+            let r = &plan.reconstructions[service.index];
+            network(service.name, &r.network, r.optional)
+        }
+        ServiceKind::Extract => {
+            let e = &plan.extractors[service.index];
+            network(service.name, &e.network, e.optional)
+        }
+        _ => None,
+    });
+    rows.collect()
+}
+
 #[derive(Debug, Serialize)]
 struct GraphReport {
     sensor: evpr_core::plan::Sensor,
     tick: String,
     windows: Vec<String>,
     processes: Vec<String>,
+    networks: Vec<NetworkRow>,
     members: Vec<String>,
     channels: Vec<ChannelRow>,
     shared_memory_bytes: u64,
@@ -62,6 +100,7 @@ fn report(plan: &Plan) -> Result<GraphReport, Failure> {
             .map(|w| plan.slicing.window_id(w))
             .collect(),
         processes: plan.services().into_iter().map(|s| s.name).collect(),
+        networks: networks(plan),
         members: plan.members.iter().map(|m| m.name.clone()).collect(),
         channels: channels.collect(),
         shared_memory_bytes: room.needed,
@@ -88,6 +127,16 @@ pub(crate) fn graph(args: &GraphArgs) -> Result<ExitCode, Failure> {
     say!("sensor     {}", report.sensor);
     say!("tick       {}, windows {}", report.tick, report.windows.join(" "));
     say!("processes  {}", report.processes.join("  "));
+    for network in &report.networks {
+        let plural = if network.threads == 1 { "" } else { "s" };
+        say!(
+            "network    {}: {}, {} thread{plural}{}",
+            network.process,
+            network.model,
+            network.threads,
+            if network.optional { ", optional" } else { "" }
+        );
+    }
     say!("members    {}", report.members.len());
     for member in &report.members {
         say!("  {member}");
