@@ -1,2 +1,2 @@
 #![no_main]
-libfuzzer_sys::fuzz_target!(|data: &[u8]| evpr_fuzz::mcap(data));
+libfuzzer_sys::fuzz_target!(|data: &[u8]| evpr_fuzz::events::mcap(data));

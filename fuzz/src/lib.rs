@@ -1,28 +1,11 @@
-//! What each target does with its bytes. The normal tests replay the corpus through the same functions
-//! (`shared/events/tests/corpus.rs`).
+//! Fuzz targets: what is done with bytes that nobody vouches for, one module per crate that decodes. The tests of those
+//! crates (`tests/corpus.rs`) replay the corpus through the same functions.
 
-mod prophesee;
-mod recordings;
+pub mod config;
+pub mod events;
+pub mod frames;
+mod memory;
+pub mod replay;
+pub mod store;
 
-pub use prophesee::{dat, evt2, evt3, evt21};
-pub use recordings::{aedat2, aedat4, es, hdf5, mcap, npy, npz, rosbag, rosbag2};
-
-/// A target by its name, which is also its folder's in `corpus`.
-pub type Target = (&'static str, fn(&[u8]));
-
-/// Every target.
-pub const TARGETS: &[Target] = &[
-    ("aedat2", aedat2),
-    ("aedat4", aedat4),
-    ("dat", dat),
-    ("es", es),
-    ("evt2", evt2),
-    ("evt21", evt21),
-    ("evt3", evt3),
-    ("hdf5", hdf5),
-    ("mcap", mcap),
-    ("npy", npy),
-    ("npz", npz),
-    ("rosbag", rosbag),
-    ("rosbag2", rosbag2),
-];
+pub use memory::allow_mib;

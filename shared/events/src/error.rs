@@ -1,5 +1,6 @@
 //! What can be wrong with a recording.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// Why a recording cannot be opened or read on. Each message is one line: which file, what is wrong, what to do.
@@ -24,7 +25,7 @@ pub enum SourceError {
         path: PathBuf,
     },
     /// The operating system failed to read it.
-    #[error("{}: cannot be read: {error}", path.display())]
+    #[error("{}: cannot be read: {}", path.display(), printable(&error.to_string()))]
     Read {
         /// The recording.
         path: PathBuf,
@@ -32,7 +33,7 @@ pub enum SourceError {
         error: std::io::Error,
     },
     /// The file as a whole is not as its format wants it.
-    #[error("{}: {what}", path.display())]
+    #[error("{}: {}", path.display(), printable(what))]
     Malformed {
         /// The recording.
         path: PathBuf,
@@ -40,7 +41,7 @@ pub enum SourceError {
         what: String,
     },
     /// A line of a text recording is not as it should be.
-    #[error("{}: line {line}: {what}", path.display())]
+    #[error("{}: line {line}: {}", path.display(), printable(what))]
     Line {
         /// The recording.
         path: PathBuf,
@@ -88,5 +89,36 @@ impl SourceError {
             path: path.to_owned(),
             what: what.into(),
         }
+    }
+}
+
+/// A message with what files can put into it, such as names: control characters are written out.
+fn printable(text: &str) -> Cow<'_, str> {
+    if !text.contains(char::is_control) {
+        return Cow::Borrowed(text);
+    }
+    let shown = |c: char| {
+        if c.is_control() {
+            c.escape_default().to_string()
+        } else {
+            c.to_string()
+        }
+    };
+    Cow::Owned(text.chars().map(shown).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_is_one_line_whatever_names_a_file_has() {
+        let error = SourceError::malformed(Path::new("a.npz"), "the member 'x\n\u{1b}[2Jé' is damaged");
+        assert_eq!(
+            error.to_string(),
+            "a.npz: the member 'x\\n\\u{1b}[2Jé' is damaged"
+        );
+        let error = SourceError::read(Path::new("a"), std::io::Error::other("b\rc"));
+        assert_eq!(error.to_string(), "a: cannot be read: b\\rc");
     }
 }

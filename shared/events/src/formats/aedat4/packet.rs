@@ -131,6 +131,10 @@ impl Packet {
             return Err(BadBody("of a stream of events holds something else".to_owned()));
         }
         let events = Table::root(buffer)?.vector(0, EVENT_BYTES)?;
+        // No events need not stand anywhere in it.
+        if events.is_empty() {
+            return Ok(0..0);
+        }
         let start = events.as_ptr() as usize - self.bytes.as_ptr() as usize;
         Ok(start..start + events.len())
     }

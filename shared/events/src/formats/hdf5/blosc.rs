@@ -2,6 +2,8 @@
 //! stream or in one for each byte of an element, after a shuffle of bytes or bits.
 //! Source: README_CHUNK_FORMAT.rst of github.com/Blosc/c-blosc.
 
+use super::filters;
+
 const HEADER_BYTES: usize = 16;
 /// Flags of the header.
 const SHUFFLED: u8 = 1;
@@ -69,8 +71,13 @@ pub(super) fn decode(data: &[u8], max_bytes: usize) -> Result<Vec<u8>, String> {
             .ok_or_else(|| "ends too early".to_owned());
     }
     let mut codec = Codec::new(header.flags >> 5)?;
-    let mut out = vec![0; header.bytes];
-    let mut shuffled = vec![0; header.block_bytes];
+    let zeros = |len| {
+        let mut room = filters::room(len)?;
+        room.resize(len, 0);
+        Ok::<_, String>(room)
+    };
+    let mut out = zeros(header.bytes)?;
+    let mut shuffled = zeros(header.block_bytes)?;
     for (i, block) in out.chunks_mut(header.block_bytes.max(1)).enumerate() {
         let start = u32_at(data, HEADER_BYTES + 4 * i)?;
         let bytes = header.element_bytes > 1 && header.flags & SHUFFLED != 0;

@@ -1,7 +1,7 @@
 //! One column of events, of which one block is in memory; numbers of any width become what an event has.
 
 use super::super::unit::{float_ns, whole_ns};
-use super::{type_name, unreadable};
+use super::{filters, type_name, unreadable};
 use crate::{BATCH_EVENTS, MAX_TIME_NS};
 use hdf5_reader::error::{Error, Result as Hdf5Result};
 use hdf5_reader::{Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem};
@@ -237,7 +237,7 @@ fn converted<S: Number, T>(
 ) -> Load<T> {
     Box::new(move |dataset, part| {
         let raw = dataset.read_slice::<S>(part)?.into_raw_vec_and_offset().0;
-        let mut values = Vec::with_capacity(raw.len());
+        let mut values = filters::room(raw.len()).map_err(Error::ResourceLimit)?;
         values.extend(raw.iter().map_while(|v| convert(*v)));
         let wrong = raw.get(values.len());
         let wrong = wrong.map(|v| format!("{name} {v}; it must be {wanted}"));

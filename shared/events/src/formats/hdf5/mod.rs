@@ -20,6 +20,7 @@ use crate::{RawEvent, Recording, Skipped, SourceError, SourceInfo};
 use body::{Body, Columns};
 use column::{Value, coordinates, polarities, value_at};
 use evpr_core::plan::{Sensor, TimeUnit};
+use filters::Filters;
 use hdf5_reader::error::Error;
 use hdf5_reader::group::Group;
 use hdf5_reader::{Dataset, Datatype, Hdf5File, OpenOptions};
@@ -30,6 +31,8 @@ type KnownUnit = (TimeUnit, &'static str);
 
 /// Largest chunk of a dataset that is decoded, bytes: a chunk is decoded whole, so this bounds the memory.
 const MAX_CHUNK_BYTES: usize = 256 << 20;
+/// Most events in a chunk: what they become takes more than their bytes in the file.
+const MAX_CHUNK_EVENTS: u32 = 8 << 20;
 /// Largest part of a dataset that is read at once, bytes: whole chunks for a batch.
 const MAX_READ_BYTES: usize = 2 * MAX_CHUNK_BYTES;
 /// Most names that a message lists.
@@ -64,9 +67,15 @@ impl Times {
     }
 }
 
+/// A file, and the filters with which it was opened.
+struct Opened {
+    file: Hdf5File,
+    filters: Filters,
+}
+
 /// Columns in a file that is being opened.
 struct Events<'a> {
-    file: &'a Hdf5File,
+    file: &'a Opened,
     root: Group,
     times: (String, Dataset),
     options: &'a ReadOptions,
@@ -94,10 +103,13 @@ impl Events<'_> {
 }
 
 /// A dataset whose filters can be read, if it is there; `place` is its group with a slash at the end.
-fn dataset(file: &Hdf5File, group: &Group, place: &str, name: &str) -> Result<Option<Dataset>, String> {
+fn dataset(file: &Opened, group: &Group, place: &str, name: &str) -> Result<Option<Dataset>, String> {
     let path = format!("{place}{name}");
     match group.dataset(name) {
-        Ok(dataset) => filters::check(file, &path, &dataset).map(|()| Some(dataset)),
+        Ok(dataset) => {
+            file.filters.check(&file.file, &path, &dataset)?;
+            Ok(Some(dataset))
+        }
         Err(Error::DatasetNotFound(_)) => Ok(None),
         Err(e) => Err(unreadable(&path, &e)),
     }
@@ -111,8 +123,14 @@ fn group(root: &Group, name: &str) -> Result<Option<Group>, String> {
     }
 }
 
-fn one_dimension(path: &str, dataset: &Dataset) -> Result<(), String> {
+/// That a dataset is a column whose chunks can be decoded in bounded memory.
+fn check_shape(path: &str, dataset: &Dataset) -> Result<(), String> {
+    let chunk = dataset.chunks().and_then(|c| c.first().copied());
     match dataset.ndim() {
+        1 if chunk.is_some_and(|events| events > MAX_CHUNK_EVENTS) => Err(format!(
+            "{path} has chunks of more than {MAX_CHUNK_EVENTS} events; make them smaller: \
+             h5repack -l CHUNK=65536 IN OUT"
+        )),
         1 => Ok(()),
         n => Err(format!("{path} has {n} dimensions; it must have one")),
     }
@@ -180,14 +198,17 @@ impl Hdf5 {
 
     fn open_layout(path: &Path, options: &ReadOptions) -> Result<Self, String> {
         // Every chunk is read once and in order: a cache would only take memory.
+        let filters = Filters::default();
         let how = OpenOptions::default()
             .with_chunk_cache_bytes(0)
             .with_max_chunk_bytes(MAX_CHUNK_BYTES)
             .with_max_read_bytes(MAX_READ_BYTES)
-            .with_filter_registry(filters::registry());
+            .with_filter_registry(filters.registry());
         let file =
             Hdf5File::open_with_options(path, how).map_err(|e| unreadable("the HDF5 structure", &e))?;
-        let root = file.root_group().map_err(|e| unreadable("the HDF5 root", &e))?;
+        let file = Opened { file, filters };
+        let root = file.file.root_group();
+        let root = root.map_err(|e| unreadable("the HDF5 root", &e))?;
         if let Some(cd) = group(&root, "CD")?
             && let Some(events) = dataset(&file, &cd, "/CD/", "events")?
         {
@@ -203,7 +224,7 @@ impl Hdf5 {
     }
 
     fn compound(path: &Path, root: &Group, events: Dataset) -> Result<Self, String> {
-        one_dimension(prophesee::PATH, &events)?;
+        check_shape(prophesee::PATH, &events)?;
         let events = prophesee::column(events)?;
         let triggers = Skipped {
             what: "external triggers".to_owned(),
@@ -225,7 +246,7 @@ impl Hdf5 {
 
     fn columns(
         path: &Path,
-        file: &Hdf5File,
+        file: &Opened,
         root: Group,
         events: &Group,
         options: &ReadOptions,
@@ -254,7 +275,7 @@ impl Hdf5 {
                 )
             })?;
             let path = format!("/events/{name}");
-            one_dimension(&path, &dataset)?;
+            check_shape(&path, &dataset)?;
             Ok::<_, String>((path, dataset))
         };
         let [t, x, y, p] = layout.names;

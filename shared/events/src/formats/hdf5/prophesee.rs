@@ -4,7 +4,7 @@
 //! As the vendor's tools write it, it is compressed by their own filter (ECF), which is not read here.
 
 use super::column::{Column, Loaded};
-use super::type_name;
+use super::{filters, type_name};
 use crate::{MAX_TIME_NS, RawEvent};
 use hdf5_reader::error::{Error, Result as Hdf5Result};
 use hdf5_reader::group::Group;
@@ -23,7 +23,7 @@ pub(super) fn column(dataset: Dataset) -> Result<Column<RawEvent>, String> {
     }
     let load = |dataset: &Dataset, part: &_| {
         let read = dataset.read_slice::<Cd>(part)?.into_raw_vec_and_offset().0;
-        let mut values = Vec::with_capacity(read.len());
+        let mut values = filters::room(read.len()).map_err(Error::ResourceLimit)?;
         values.extend(read.iter().map_while(|cd| match cd {
             Cd::Event(event) => Some(*event),
             Cd::Wrong(..) => None,

@@ -1,10 +1,13 @@
-//! Recordings of other formats, read to their end or their first error, with and without a size of the sensor.
+//! Recordings of other formats, read to their end or their first error.
 
+use super::Written;
 use evpr_core::plan::Sensor;
 use evpr_events::formats::aedat4_network;
 use evpr_events::{BATCH_EVENTS, Input, MAX_TIME_NS, ReadOptions, Recording, SourceError, open, open_input};
 use std::io::Cursor;
-use std::{fs, thread};
+
+/// Most batches that are read of what unpacks to more than it is.
+const BATCHES: usize = 64;
 
 /// AEDAT4, as a file and as a network stream.
 pub fn aedat4(data: &[u8]) {
@@ -44,10 +47,8 @@ pub fn rosbag2(data: &[u8]) {
     read_file(data, "db3", usize::MAX);
 }
 
-/// HDF5, which is read in any order and so from a file.
+/// HDF5, which is read in any order and so from a file. What is not stored counts as 0, however much it is said to be.
 pub fn hdf5(data: &[u8]) {
-    // What would be read endlessly: values that are not stored count as 0, however many there are said to be.
-    const BATCHES: usize = 64;
     read_file(data, "h5", BATCHES);
 }
 
@@ -59,29 +60,33 @@ pub fn npy(data: &[u8]) {
 
 /// Zip archives, of NumPy arrays and of text.
 pub fn npz(data: &[u8]) {
-    // What a few bytes may unpack to.
-    const BATCHES: usize = 64;
     read_file(data, "npz", BATCHES);
+}
+
+/// What is packed by gzip.
+pub fn gzip(data: &[u8]) {
+    read_some(open_input(input(data), &ReadOptions::default()), BATCHES);
+}
+
+/// Parquet; without that feature the refusal.
+pub fn parquet(data: &[u8]) {
+    read_file(data, "parquet", BATCHES);
+}
+
+/// Text, from a pipe and from a file.
+pub fn text(data: &[u8]) {
+    read(open_input(input(data), &ReadOptions::default()));
+    read_file(data, "txt", usize::MAX);
 }
 
 /// Reads a file of these bytes, at most so many batches, and enters it in its middle.
 fn read_file(data: &[u8], extension: &str, batches: usize) {
-    let path = std::env::temp_dir().join(format!(
-        "evpr-fuzz-{}-{:?}.{extension}",
-        std::process::id(),
-        thread::current().id()
-    ));
-    assert!(
-        fs::write(&path, data).is_ok(),
-        "{} cannot be written",
-        path.display()
-    );
-    read_some(open(&path, &ReadOptions::default()), batches);
-    if let Ok(mut recording) = open(&path, &ReadOptions::default()) {
+    let file = Written::new(data, extension);
+    read_some(open(&file.0, &ReadOptions::default()), batches);
+    if let Ok(mut recording) = open(&file.0, &ReadOptions::default()) {
         let _ = recording.seek_before(1_600_000_000_500_000_000);
         let _ = recording.next_batch(&mut Vec::new());
     }
-    let _ = fs::remove_file(&path);
 }
 
 fn input(data: &[u8]) -> Input {

@@ -1,0 +1,69 @@
+//! Configurations: from text to the plan, as the command line does it, and what is worked out of the plan.
+
+use crate::replay::Target;
+use evpr_core::config::{self, Overrides};
+use evpr_core::plan::{Catalog, Sensor};
+use std::path::PathBuf;
+
+/// Every target of this module.
+pub const TARGETS: &[Target] = &[("config", toml)];
+
+const CATALOG: Catalog = Catalog {
+    reconstructions: &evpr_reconstruct::ALL_KINDS,
+    extractors: &evpr_extract::KINDS,
+};
+
+/// A configuration file.
+pub fn toml(data: &[u8]) {
+    // As the command line, which takes only UTF-8.
+    let Ok(text) = std::str::from_utf8(data) else {
+        return;
+    };
+    let one_line_each = |errors: config::ConfigErrors| {
+        let text = errors.to_string();
+        assert!(
+            !text.is_empty()
+                && text
+                    .lines()
+                    .all(|line| line.contains("fuzz.toml") || line.contains("command line")),
+            "{text}"
+        );
+    };
+    let config = match config::parse(text, "fuzz.toml", &CATALOG) {
+        Ok(config) => config,
+        Err(errors) => return one_line_each(errors),
+    };
+    let everything = Overrides {
+        map: Some(PathBuf::from("map")),
+        record: Some(PathBuf::from("record")),
+        ..Overrides::default()
+    };
+    let recording = Overrides {
+        input: Some(PathBuf::from("events.raw")),
+        ..Overrides::default()
+    };
+    for overrides in [everything, recording] {
+        let sensor = Sensor {
+            height: 260,
+            width: 346,
+        };
+        let plan = match config.resolve(config.sensor().unwrap_or(sensor), &overrides) {
+            Ok(plan) => plan,
+            Err(errors) => {
+                one_line_each(errors);
+                continue;
+            }
+        };
+        let names: Vec<_> = plan.services().into_iter().map(|service| service.name).collect();
+        assert!(!names.is_empty());
+        let bytes: usize = plan.channels().iter().map(|channel| channel.bytes()).sum();
+        assert!(bytes <= plan.shared_memory_bytes());
+        assert!(plan.slicing.segments().per_tick() > 0);
+        for member in 0..plan.members.len() {
+            assert!(!plan.fingerprint(member).is_empty());
+        }
+        // As processes are handed it.
+        let written = serde_json::to_string(&plan).unwrap_or_default();
+        assert_eq!(serde_json::from_str(&written).ok(), Some(plan));
+    }
+}
