@@ -1,17 +1,44 @@
-//! Configurations: from text to the plan, as the command line does it, and what is worked out of the plan.
+//! Configurations, from text to the plan as the command line makes it, and what is worked out of the plan; registries
+//! of models.
 
 use crate::replay::Target;
 use evpr_core::config::{self, Overrides};
-use evpr_core::plan::{Catalog, Sensor};
+use evpr_core::plan::{Catalog, Models, Sensor};
+use evpr_onnx::Registry;
 use std::path::PathBuf;
+use std::sync::LazyLock;
+use std::{env, fs, process, thread};
 
 /// Every target of this module.
-pub const TARGETS: &[Target] = &[("config", toml)];
+pub const TARGETS: &[Target] = &[("config", toml), ("models", models)];
 
-const CATALOG: Catalog = Catalog {
-    reconstructions: &evpr_reconstruct::ALL_KINDS,
-    extractors: &evpr_extract::KINDS,
-};
+/// Networks that a configuration may name.
+static REGISTRY: LazyLock<Registry> = LazyLock::new(|| {
+    let known = read(include_bytes!("../../tests/models/models.toml"));
+    assert!(matches!(known, Ok(Some(_))), "{known:?}");
+    known.ok().flatten().unwrap_or_default()
+});
+
+/// A registry of models.
+pub fn models(data: &[u8]) {
+    match read(data) {
+        Ok(registry) => assert!(registry.is_some()),
+        Err(e) => assert!(!e.to_string().contains('\n'), "{e}"),
+    }
+}
+
+fn read(text: &[u8]) -> Result<Option<Registry>, evpr_onnx::OnnxError> {
+    let (process, thread) = (process::id(), thread::current().id());
+    let path = env::temp_dir().join(format!("evpr-fuzz-models-{process}-{thread:?}"));
+    assert!(
+        fs::write(&path, text).is_ok(),
+        "{} cannot be written",
+        path.display()
+    );
+    let registry = Registry::read(&path);
+    let _ = fs::remove_file(&path);
+    registry
+}
 
 /// A configuration file.
 pub fn toml(data: &[u8]) {
@@ -29,7 +56,17 @@ pub fn toml(data: &[u8]) {
             "{text}"
         );
     };
-    let config = match config::parse(text, "fuzz.toml", &CATALOG) {
+    let _ = config::registry_path(text);
+    let catalog = Catalog {
+        reconstructions: &evpr_reconstruct::ALL_KINDS,
+        extractors: &evpr_extract::KINDS,
+        models: Models {
+            models: &REGISTRY.models,
+            registry: "models.toml",
+        },
+        cores: 2,
+    };
+    let config = match config::parse(text, "fuzz.toml", &catalog) {
         Ok(config) => config,
         Err(errors) => return one_line_each(errors),
     };
