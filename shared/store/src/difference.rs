@@ -59,6 +59,8 @@ pub(crate) fn of_headers(stored: &crate::Manifest, wanted: &crate::NewTraverse) 
             });
         }
     };
+    let kept = stored.members.first().map_or(wanted.rows, |m| m.dtype);
+    whole("rows", kept.name().to_owned(), wanted.rows.name().to_owned());
     let slicing = |s| serde_json::to_string(s).unwrap_or_default();
     whole("source", stored.source.clone(), wanted.source.clone());
     whole("sensor", stored.sensor.to_string(), wanted.sensor.to_string());

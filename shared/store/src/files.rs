@@ -7,6 +7,7 @@ use crate::layout::{self, COMMITS, ROWS, TICKS};
 use crate::manifest::{Manifest, MemberEntry};
 use crate::npy::{HEADER_BYTES, NpyHeader};
 use crate::ticks::HEADER;
+use evpr_core::plan::RowType;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::FileExt;
@@ -63,11 +64,12 @@ pub(crate) struct MemberFiles {
     pub(crate) rows: NamedFile,
     pub(crate) present: NamedFile,
     pub(crate) dim: usize,
+    pub(crate) row_type: RowType,
 }
 
 impl MemberFiles {
     pub(crate) fn row_bytes(&self) -> u64 {
-        (self.dim * size_of::<f32>()) as u64
+        (self.dim * self.row_type.bytes()) as u64
     }
 
     /// Where the tick's row begins.
@@ -133,6 +135,7 @@ impl Files {
                 rows: NamedFile::open(layout::rows_file(folder, &member.name), create)?,
                 present: NamedFile::open(layout::present_file(folder, &member.name), create)?,
                 dim: member.dim,
+                row_type: member.dtype,
             })
         });
         Ok(Self {
@@ -174,7 +177,7 @@ impl Files {
         self.truncate(manifest.ticks, csv_end)?;
         for m in &self.members {
             m.rows
-                .write_at(&NpyHeader::rows(manifest.ticks, m.dim).encode(), 0)?;
+                .write_at(&NpyHeader::rows(manifest.ticks, m.dim, m.row_type).encode(), 0)?;
             m.present
                 .write_at(&NpyHeader::present(manifest.ticks).encode(), 0)?;
         }

@@ -6,7 +6,7 @@
 //! |---|---|
 //! | `traverse.json` | the manifest: format and version, sensor, slicing, members with their fingerprints, counts |
 //! | `ticks.csv` | `tick,start_us,end_us,east_m,north_m`; the positions are empty where they are not known |
-//! | `rows/<member>.npy` | R×D little-endian `f32`, C order; ticks without a row are zero rows |
+//! | `rows/<member>.npy` | R×D little-endian `f32` (or `f16`), C order; ticks without a row are zero rows |
 //! | `rows/<member>.present.npy` | R `bool`: which ticks have a row |
 //!
 //! R is the number of ticks and D the member's dimension; row i belongs to tick i. A member's name holds a slash, so

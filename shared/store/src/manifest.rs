@@ -3,7 +3,7 @@
 use crate::error::StoreError;
 use crate::layout::{self, MANIFEST, NEW};
 use evpr_core::Plan;
-use evpr_core::plan::{Sensor, Slicing};
+use evpr_core::plan::{RowType, Sensor, Slicing};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
@@ -14,8 +14,6 @@ use std::path::Path;
 pub const FORMAT: &str = "evpr-traverse";
 /// Version of the format that this release writes, and the newest that it reads.
 pub const VERSION: u64 = 1;
-/// The one type of rows so far.
-const DTYPE: &str = "f32";
 
 /// The manifest of a traverse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -50,8 +48,8 @@ pub struct MemberEntry {
     pub name: String,
     /// Length D of its rows.
     pub dim: usize,
-    /// Type of their numbers: `f32`.
-    pub dtype: String,
+    /// Type of their numbers on disk.
+    pub dtype: RowType,
     /// How many ticks have a row; 0 until the recording is closed.
     pub present: u64,
     /// Everything that shapes a row, from [`Plan::fingerprint`]: rows of equal fingerprints can be compared.
@@ -71,6 +69,8 @@ pub struct NewTraverse {
     pub source: String,
     /// Whatever its maker wants to say of it.
     pub notes: String,
+    /// How its rows are kept.
+    pub rows: RowType,
 }
 
 /// A member of a traverse that is about to be recorded.
@@ -98,6 +98,7 @@ impl NewTraverse {
             members: members.collect(),
             source: plan.source.path.display().to_string(),
             notes: String::new(),
+            rows: plan.record_rows,
         }
     }
 
@@ -109,7 +110,7 @@ impl NewTraverse {
         let members = self.members.iter().map(|m| MemberEntry {
             name: m.name.clone(),
             dim: m.dim,
-            dtype: DTYPE.to_owned(),
+            dtype: self.rows,
             present: 0,
             fingerprint: m.fingerprint.clone(),
         });
@@ -201,15 +202,12 @@ impl Manifest {
             if m.dim == 0 {
                 return Err(format!("rows of member {} have length 0", m.name));
             }
-            if m.dtype != DTYPE {
-                return Err(format!("rows of member {} are {}, not {DTYPE}", m.name, m.dtype));
-            }
             if m.present > self.ticks {
                 let (present, ticks) = (m.present, self.ticks);
                 return Err(format!("member {} has {present} rows in {ticks} ticks", m.name));
             }
             let bytes = (m.dim as u64)
-                .checked_mul(size_of::<f32>() as u64)
+                .checked_mul(m.dtype.bytes() as u64)
                 .and_then(|row| row.checked_mul(self.ticks))
                 .filter(|bytes| *bytes < i64::MAX as u64 / 2);
             if bytes.is_none() {

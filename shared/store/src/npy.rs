@@ -1,6 +1,8 @@
 //! Headers of `.npy` files, as NumPy's format version 1.0 has them
 //! (<https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html>).
 
+use evpr_core::plan::RowType;
+
 /// Length of the headers written here, bytes: room for any shape, and a multiple of 64 as the format asks for.
 pub(crate) const HEADER_BYTES: usize = 128;
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
@@ -17,10 +19,14 @@ pub struct NpyHeader {
 }
 
 impl NpyHeader {
-    /// R×D `f32`, row by row.
-    pub(crate) fn rows(ticks: u64, dim: usize) -> Self {
+    /// R×D numbers of this type, row by row.
+    pub(crate) fn rows(ticks: u64, dim: usize, rows: RowType) -> Self {
+        let descr = match rows {
+            RowType::F32 => "<f4",
+            RowType::F16 => "<f2",
+        };
         Self {
-            descr: "<f4".to_owned(),
+            descr: descr.to_owned(),
             fortran_order: false,
             shape: vec![ticks, dim as u64],
         }
@@ -122,7 +128,7 @@ mod tests {
     fn headers_are_numpys_own() {
         // np.lib.format.write_array_header_1_0 of a (7, 3) '<f4' array.
         let expected = b"\x93NUMPY\x01\x00v\x00{'descr': '<f4', 'fortran_order': False, 'shape': (7, 3), }";
-        let bytes = NpyHeader::rows(7, 3).encode();
+        let bytes = NpyHeader::rows(7, 3, RowType::F32).encode();
         assert_eq!(&bytes[..expected.len()], expected);
         assert_eq!(bytes[127], b'\n');
         let text = NpyHeader::present(5).to_string();
@@ -132,8 +138,8 @@ mod tests {
     #[test]
     fn what_is_written_is_read_back() {
         for header in [
-            NpyHeader::rows(0, 1),
-            NpyHeader::rows(u64::MAX, usize::MAX),
+            NpyHeader::rows(0, 1, RowType::F32),
+            NpyHeader::rows(u64::MAX, usize::MAX, RowType::F16),
             NpyHeader::present(12),
         ] {
             assert_eq!(NpyHeader::decode(&header.encode()), Ok((header, HEADER_BYTES)));
@@ -153,7 +159,7 @@ mod tests {
 
     #[test]
     fn damage_is_named() {
-        let good = NpyHeader::rows(2, 3).encode();
+        let good = NpyHeader::rows(2, 3, RowType::F32).encode();
         for len in 0..HEADER_BYTES {
             assert!(NpyHeader::decode(&good[..len]).is_err(), "{len}");
         }

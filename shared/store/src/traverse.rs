@@ -8,8 +8,10 @@ use crate::mapped::MappedRows;
 use crate::npy::NpyHeader;
 use crate::ticks::{self, TickRecord};
 use evpr_core::Plan;
+use evpr_core::plan::RowType;
+use half::f16;
 use std::fs::File;
-use std::io::Read;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -176,17 +178,31 @@ pub struct MemberRows {
 #[derive(Debug)]
 struct Shared {
     dim: usize,
-    rows: MappedRows,
+    rows: Rows,
     present: Vec<bool>,
+}
+
+/// Where a member's rows are.
+#[derive(Debug)]
+enum Rows {
+    Mapped(MappedRows),
+    /// Read, as they are kept in another type.
+    Widened(Vec<f32>),
 }
 
 impl MemberRows {
     /// Opens a member's files and compares them with the manifest.
     pub(crate) fn open(folder: &Path, member: &MemberEntry, ticks: u64) -> Result<Self, StoreError> {
         let file = layout::rows_file(folder, &member.name);
-        let row_bytes = (member.dim * size_of::<f32>()) as u64;
-        let (opened, offset) = open_npy(&file, &NpyHeader::rows(ticks, member.dim), row_bytes * ticks)?;
-        let rows = MappedRows::new(&opened, offset).map_err(StoreError::io("map", &file))?;
+        let row_bytes = (member.dim * member.dtype.bytes()) as u64;
+        let header = NpyHeader::rows(ticks, member.dim, member.dtype);
+        let (opened, offset) = open_npy(&file, &header, row_bytes * ticks)?;
+        let rows = match member.dtype {
+            RowType::F32 => {
+                Rows::Mapped(MappedRows::new(&opened, offset).map_err(StoreError::io("map", &file))?)
+            }
+            RowType::F16 => Rows::Widened(widened(opened, offset).map_err(StoreError::io("read", &file))?),
+        };
 
         let file = layout::present_file(folder, &member.name);
         let (mut opened, offset) = open_npy(&file, &NpyHeader::present(ticks), ticks)?;
@@ -227,7 +243,10 @@ impl MemberRows {
 
     /// All rows, R×D, one after the other. Ticks without a row are zero.
     pub fn rows(&self) -> &[f32] {
-        self.shared.rows.as_slice()
+        match &self.shared.rows {
+            Rows::Mapped(rows) => rows.as_slice(),
+            Rows::Widened(rows) => rows,
+        }
     }
 
     /// The row of this tick, D numbers; zeros where it has none, empty when there is no such tick.
@@ -240,6 +259,27 @@ impl MemberRows {
     /// Which ticks have a row, R entries.
     pub fn present(&self) -> &[bool] {
         &self.shared.present
+    }
+}
+
+/// The numbers of 16 bits that begin at this byte of a file.
+fn widened(mut file: File, offset: usize) -> std::io::Result<Vec<f32>> {
+    const AT_ONCE: usize = 1 << 20;
+    file.seek(SeekFrom::Start(offset as u64))?;
+    let mut values = Vec::new();
+    let mut bytes = vec![0; AT_ONCE];
+    let mut held = 0;
+    loop {
+        let read = file.read(&mut bytes[held..])?;
+        held += read;
+        if read == 0 {
+            return Ok(values);
+        }
+        let whole = held - held % 2;
+        let numbers = bytes[..whole].chunks_exact(2);
+        values.extend(numbers.map(|b| f16::from_le_bytes([b[0], b[1]]).to_f32()));
+        bytes.copy_within(whole..held, 0);
+        held -= whole;
     }
 }
 

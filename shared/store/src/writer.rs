@@ -10,6 +10,9 @@ use crate::recover::{Check, recover};
 use crate::sync::{PERIOD, Syncer};
 use crate::ticks::{HEADER, TickRecord};
 use crate::traverse::Traverse;
+use evpr_core::plan::RowType;
+use half::f16;
+use half::slice::HalfFloatSliceExt;
 use std::fs::{self, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -33,6 +36,8 @@ pub struct TraverseWriter {
     broken: bool,
     /// A row of zeros as long as the longest.
     zeros: Vec<f32>,
+    /// A row as it is kept, where that is not as it is.
+    narrow: Vec<f16>,
     line: String,
 }
 
@@ -128,6 +133,7 @@ impl TraverseWriter {
             csv_end,
             broken: false,
             zeros: vec![0.0; longest],
+            narrow: Vec::new(),
             line: String::new(),
         })
     }
@@ -196,6 +202,18 @@ impl TraverseWriter {
                     "the row of member {name} has {len} numbers, it must have {dim}"
                 ));
             }
+            let largest = match member.dtype {
+                RowType::F32 => f32::MAX,
+                RowType::F16 => f16::MAX.to_f32(),
+            };
+            if let Some(at) = row.iter().position(|v| v.is_finite() && v.abs() > largest) {
+                return Err(format!(
+                    "number {at} of the row of member {} is {}, too large for {}",
+                    member.name,
+                    row[at],
+                    member.dtype.name()
+                ));
+            }
             if let Some(at) = row.iter().position(|v| !v.is_finite()) {
                 return Err(format!(
                     "number {at} of the row of member {} is {}",
@@ -207,14 +225,21 @@ impl TraverseWriter {
     }
 
     /// Writes the data of the next tick, then its commit record.
-    fn write(&self, rows: &[Option<&[f32]>]) -> Result<(), Failed> {
+    fn write(&mut self, rows: &[Option<&[f32]>]) -> Result<(), Failed> {
         let line = self.line.as_bytes();
         let mut sum = TickSum::new(line);
         self.files.csv.write_at(line, self.csv_end)?;
         for (m, row) in self.files.members.iter().zip(rows) {
             let mark = u8::from(row.is_some());
             let row = row.unwrap_or_else(|| self.zeros.get(..m.dim).unwrap_or_default());
-            let bytes = bytemuck::cast_slice(row);
+            let bytes = match m.row_type {
+                RowType::F32 => bytemuck::cast_slice(row),
+                RowType::F16 => {
+                    self.narrow.clear();
+                    self.narrow.extend(row.iter().map(|v| f16::from_f32(*v)));
+                    bytemuck::cast_slice(self.narrow.reinterpret_cast())
+                }
+            };
             m.rows.write_at(bytes, m.row_offset(self.ticks))?;
             m.present.write_at(&[mark], present_offset(self.ticks))?;
             sum.member(mark, bytes);

@@ -27,13 +27,13 @@ pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
 pub use words::{
     ALIGNS, CROPS, DELIVERIES, FRAME_TICKS, MASKED_BY, ON_BACKWARD_TIME, ON_OTHER_SIZE, ON_OUTSIDE_SENSOR,
-    POSITION_COMPATS, POSITION_KINDS, PROVIDERS, RAW_FORMATS, RULES, SEQUENCE_METHODS, SIMILARITIES,
-    SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
+    POSITION_COMPATS, POSITION_KINDS, PROVIDERS, RAW_FORMATS, ROW_TYPES, RULES, SEQUENCE_METHODS,
+    SIMILARITIES, SLICE_MODES, STACK_ORDERS, STREET_PASSES, TIME_UNITS, Words, parse_origin, parse_pace,
 };
 
 use crate::plan::{
     Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Inference, LiveSource, Member,
-    OnBadEvent, OnOtherSize, Pace, Plan, Positions, Reconstruction, Sensor, Slicing, Source, Street,
+    OnBadEvent, OnOtherSize, Pace, Plan, Positions, Reconstruction, RowType, Sensor, Slicing, Source, Street,
     StreetPass,
 };
 use positions::PositionsSection;
@@ -56,6 +56,7 @@ pub struct Config {
     members: Vec<Member>,
     fuse: Fuse,
     inference: Inference,
+    record_rows: RowType,
     runtime: RuntimeSection,
     /// Where to point when the sensor or the recording turns out to be wrong or missing.
     places: Places,
@@ -154,6 +155,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
     let members = members::ensemble(root.section("ensemble"), &parts);
     let fuse = schema::fuse(root.section("fuse"));
     let inference = inference::inference(root.section("inference"));
+    let record_rows = schema::record(root.section("record"));
     let runtime = schema::runtime(root.section("runtime"));
     root.close();
     let positions = positions?;
@@ -168,6 +170,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
         members: members?,
         fuse: fuse?,
         inference: inference?,
+        record_rows: record_rows?,
         runtime: runtime?,
         places: Places {
             sensor: sink.error(&sensor_at, ""),
@@ -390,6 +393,7 @@ impl Config {
             deadline_ns: self.runtime.deadline_ns,
             map: overrides.map.clone(),
             record: overrides.record.clone(),
+            record_rows: self.record_rows,
         })
     }
 }

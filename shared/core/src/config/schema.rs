@@ -3,9 +3,9 @@
 
 use super::reader::{Table, Value};
 use super::sink::Key;
-use super::words::{DELIVERIES, RULES, SEQUENCE_METHODS, SIMILARITIES};
+use super::words::{DELIVERIES, ROW_TYPES, RULES, SEQUENCE_METHODS, SIMILARITIES};
 use crate::message::Event;
-use crate::plan::{Delivery, Fuse, Rule, Sensor, SequenceMethod, Similarity};
+use crate::plan::{Delivery, Fuse, RowType, Rule, Sensor, SequenceMethod, Similarity};
 
 /// The longest instance name: it is part of names in shared memory and of sockets.
 pub(super) const MAX_RUN_NAME: usize = 20;
@@ -195,6 +195,22 @@ fn sequence(table: Table<'_>) -> Option<(SequenceMethod, usize)> {
     table.close();
     let default = if method? == SequenceMethod::None { 1 } else { 10 };
     Some((method?, length?.unwrap_or(default)))
+}
+
+/// `[record]`: how rows are kept.
+pub(super) fn record(table: Table<'_>) -> Option<RowType> {
+    let rows = table.read(
+        key(
+            "rows",
+            "\"f32\" or \"f16\"",
+            Some("\"f32\""),
+            "Numbers of recorded rows: as they are, or rounded to 16 bits, which takes half the room on disk.",
+        ),
+        RowType::F32,
+        |v| v.word(&ROW_TYPES),
+    );
+    table.close();
+    rows
 }
 
 /// `[runtime]` as written.

@@ -3,7 +3,8 @@
 
 use crate::plan::{
     Align, Crop, Delivery, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace, PositionCompat,
-    PositionKind, Provider, Rule, SequenceMethod, Similarity, SliceMode, StackOrder, StreetPass, TimeUnit,
+    PositionKind, Provider, RowType, Rule, SequenceMethod, Similarity, SliceMode, StackOrder, StreetPass,
+    TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -34,6 +35,8 @@ impl<'w, T: Copy> Words<'w, T> {
     }
 }
 
+/// `record.rows`.
+pub const ROW_TYPES: Words<'static, RowType> = Words(&[("f32", RowType::F32), ("f16", RowType::F16)]);
 /// `inference.providers`.
 pub const PROVIDERS: Words<'static, Provider> = Words(&[
     ("tensorrt", Provider::Tensorrt),

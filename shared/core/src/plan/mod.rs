@@ -205,6 +205,35 @@ pub enum Rule {
     Sum,
 }
 
+/// How the numbers of rows are kept on disk.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RowType {
+    /// 32 bits: as they are.
+    #[default]
+    F32,
+    /// 16 bits (IEEE 754 binary16): half the room; each number is rounded to 11 binary digits.
+    F16,
+}
+
+impl RowType {
+    /// As in the configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            RowType::F32 => "f32",
+            RowType::F16 => "f16",
+        }
+    }
+
+    /// Bytes of a number.
+    pub fn bytes(self) -> usize {
+        match self {
+            RowType::F32 => 4,
+            RowType::F16 => 2,
+        }
+    }
+}
+
 /// What the fuser does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fuse {
@@ -252,6 +281,9 @@ pub struct Plan {
     pub map: Option<PathBuf>,
     /// The traverse to record, when the graph has a recorder.
     pub record: Option<PathBuf>,
+    /// How the recorder keeps rows.
+    #[serde(default)]
+    pub record_rows: RowType,
 }
 
 /// A kind of process.
@@ -449,5 +481,6 @@ pub fn test_plan() -> Plan {
         deadline_ns: 1_000_000_000,
         map: Some(PathBuf::from("map")),
         record: None,
+        record_rows: RowType::F32,
     }
 }

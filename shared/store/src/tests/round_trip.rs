@@ -2,6 +2,7 @@
 
 use crate::test_support::{append, assert_is_prefix, new_traverse, record, recording};
 use crate::{StoreError, Traverse, TraverseWriter, partial_path, verify};
+use evpr_core::plan::RowType;
 use proptest::prelude::*;
 use std::process::Command;
 
@@ -31,6 +32,70 @@ fn a_recording_becomes_a_traverse() {
     let checked = verify(&path).unwrap();
     assert_eq!((checked.ticks, checked.positions), (7, 3));
     assert_eq!(checked.problems, Vec::<String>::new());
+}
+
+/// Rows of 16 bits: half the room, rounded to the nearest, readable by NumPy, verified and repaired like others.
+#[test]
+fn rows_of_16_bits_are_rounded_and_take_half_the_room() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map");
+    let header = crate::NewTraverse {
+        rows: RowType::F16,
+        ..new_traverse(&[3, 500_000])
+    };
+    let mut writer = TraverseWriter::create(&path, header.clone()).unwrap();
+    let long: Vec<f32> = (0..500_000).map(|i| i as f32 / 1e6).collect();
+    let third = 1.0f32 / 3.0;
+    writer
+        .append(&record(0), &[Some(&[third, -0.5, 1.0]), Some(&long)])
+        .unwrap();
+    // The process dies, and another goes on.
+    drop(writer);
+    let other = crate::NewTraverse {
+        rows: RowType::F32,
+        ..header.clone()
+    };
+    let error = TraverseWriter::resume(&path, other).unwrap_err().to_string();
+    assert!(
+        error.contains("rows") && error.contains("f16") && error.contains("f32"),
+        "{error}"
+    );
+    let mut writer = TraverseWriter::resume(&path, header).unwrap();
+    assert_eq!(writer.next_tick(), 1);
+    let error = writer
+        .append(&record(1), &[Some(&[1e5, 0.0, 0.0]), None])
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("number 0 of the row of member m0/x is 100000, too large for f16"),
+        "{error}"
+    );
+    writer.append(&record(1), &[None, Some(&long)]).unwrap();
+    let traverse = writer.close().unwrap();
+    assert_eq!(
+        traverse.member("m0/x").unwrap().rows(),
+        [0.333_251_95, -0.5, 1.0, 0.0, 0.0, 0.0]
+    );
+    let rows = traverse.member("m1/x").unwrap();
+    assert_eq!(rows.rows().len(), 1_000_000);
+    let worst = rows
+        .row(1)
+        .iter()
+        .zip(&long)
+        .map(|(a, b)| (a - b).abs())
+        .fold(0.0, f32::max);
+    assert!(worst <= 0.5 / 4096.0, "{worst}");
+    let bytes = std::fs::metadata(path.join("rows/m1/x.npy")).unwrap().len();
+    assert_eq!(bytes, 128 + 2 * 1_000_000);
+    let head = std::fs::read(path.join("rows/m0/x.npy")).unwrap();
+    assert!(
+        String::from_utf8_lossy(&head).contains("'descr': '<f2', 'fortran_order': False, 'shape': (2, 3)")
+    );
+    assert_eq!(verify(&path).unwrap().problems, Vec::<String>::new());
+    assert_eq!(
+        Traverse::open(&path).unwrap().manifest().members[0].dtype,
+        RowType::F16
+    );
 }
 
 #[test]
