@@ -137,6 +137,7 @@ fn record(path: &Path) -> Result<TraverseWriter, StoreError> {
         }],
         source: "events.raw".to_owned(),
         notes: String::new(),
+        rows: evpr_core::plan::RowType::F32,
     };
     let mut writer = TraverseWriter::create(path, header)?;
     for tick in 0..TICKS {

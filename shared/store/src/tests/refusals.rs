@@ -67,7 +67,11 @@ fn manifests_that_cannot_be() {
         ("\"ticks\": 4", "\"ticks\": 18446744073709551615", "too many"),
         ("\"m0/x\"", "\"../../m0/x\"", "cannot name a member's files"),
         ("\"m0/x\"", "\"m1/x\"", "there twice"),
-        ("\"f32\"", "\"f64\"", "unknown variant `f64`, expected `f32` or `f16`"),
+        (
+            "\"f32\"",
+            "\"f64\"",
+            "unknown variant `f64`, expected `f32` or `f16`",
+        ),
         (
             "\"dim\": 3",
             "\"dim\": 4",
