@@ -344,6 +344,31 @@ fn matrices_that_cannot_be_matched() {
     matching("good.npy", "0", "t.npy", 2, &["--length 0"]);
     matching("good.npy", "-1", "t.npy", 2, &["-1"]);
     matching("good.npy", "two", "t.npy", 2, &["two"]);
+    let methods: [(&[&str], &str); 7] = [
+        (&["-m", "rows"], "needs a sequence length"),
+        (
+            &["-l", "2", "--beta", "1"],
+            "--beta has no effect with --method paper",
+        ),
+        (
+            &["-m", "filter", "--window", "9"],
+            "--window has no effect with --method filter",
+        ),
+        (&["-m", "filter", "--restart", "2"], "--restart 2 is out of range"),
+        (&["-m", "filter", "--transition", "0.5,0.4"], "add up to 0.9"),
+        (
+            &["-m", "seqslam", "-l", "2", "--velocities", "1.2,0.8"],
+            "velocities are the least and the greatest",
+        ),
+        (
+            &["-m", "seqslam", "-l", "2", "--window", "1"],
+            "--window 1 is out of range",
+        ),
+    ];
+    for (options, words) in methods {
+        let args = [&["sequence-match", "-s", "good.npy", "-o", "t.npy"], options].concat();
+        fails(&bench, &args, 2, &[words]);
+    }
     let said = bench.run(&["sequence-match", "-s", "good.npy", "-l", "2", "-o", "t.npy"]);
     assert_eq!(said.code(), 0, "{}", said.stderr);
     assert_eq!(fs::metadata(bench.path("t.npy")).unwrap().len(), 128 + 6 * 8);

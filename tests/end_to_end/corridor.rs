@@ -356,13 +356,25 @@ for n, r in enumerate((1, 7, 5000)):
     np.save(f'similarity_{r}.npy', s); np.save(f'similarity_f32_{r}.npy', s.astype(np.float32))
 ";
 
+/// Similarities that the oracle's loops can do; prints "made" where scipy is there.
+const MAKE_SMALL_SIMILARITY: &str = "
+import importlib.util
+np.save('small.npy', -np.random.default_rng(5).gamma(3, .4, (30, 90)))
+print('made' if importlib.util.find_spec('scipy') else 'no scipy')
+";
+
 /// Prints the largest difference between the oracle and each of the matched arrays.
 const COMPARE_MATCHED: &str = "
 for name in sys.argv[1:]:
     similarity, length = name.rsplit('-', 1); s = np.load(similarity+'.npy').astype(np.float64)
-    mine = np.load(name+'.npy'); wanted = oracle.seq_match(s, int(length))
-    assert mine.dtype == np.float64 and mine.shape == wanted.shape and np.isfinite(mine).all(), name
-    print(name, np.abs(mine-wanted).max())
+    mine = np.load(name+'.npy')
+    if length.startswith('rows'): wanted = oracle.rows(s, int(length[4:]))
+    elif length == 'filter': wanted = oracle.forward_filter(oracle.row_z(s))
+    elif length == 'seqslam': wanted = oracle.seqslam(s, 5)
+    else: wanted = oracle.seq_match(s, int(length))
+    assert mine.dtype == np.float64 and mine.shape == wanted.shape, name
+    assert (np.isneginf(mine) == np.isneginf(wanted)).all(), name
+    print(name, np.abs(np.where(np.isneginf(wanted), 0, mine-wanted)).max())
 ";
 
 #[test]
@@ -380,6 +392,38 @@ fn the_matcher_alone_is_the_oracles() {
             succeeds(&bench, &["sequence-match", "-s", &from, "-l", length, "-o", &to]);
             matched.push(name);
         }
+        for (method, length, name) in [
+            ("rows", "1", "rows1"),
+            ("rows", "10", "rows10"),
+            ("filter", "1", "filter"),
+        ] {
+            let name = format!("{similarity}-{name}");
+            let (from, to) = (format!("{similarity}.npy"), format!("{name}.npy"));
+            let args = [
+                "sequence-match",
+                "-s",
+                &from,
+                "-m",
+                method,
+                "-l",
+                length,
+                "-o",
+                &to,
+            ];
+            succeeds(&bench, &args);
+            matched.push(name);
+        }
+    }
+    // The oracle's seqslam takes scipy, and a map of at least four references.
+    if oracle(TEST, &bench, MAKE_SMALL_SIMILARITY, &[]).unwrap().trim() == "made" {
+        let args = ["-m", "seqslam", "-l", "5", "-o", "small-seqslam.npy"];
+        succeeds(
+            &bench,
+            &[&["sequence-match", "-s", "small.npy"][..], &args].concat(),
+        );
+        matched.push("small-seqslam".to_owned());
+    } else {
+        println!("skipped: seqslam in {TEST}: scipy is absent");
     }
     let names: Vec<&str> = matched.iter().map(String::as_str).collect();
     let printed = oracle(TEST, &bench, COMPARE_MATCHED, &names).unwrap();

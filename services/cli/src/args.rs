@@ -484,6 +484,12 @@ pub(crate) struct ReconstructArgs {
 pub(crate) enum SequenceMethodArg {
     /// Z-scored on both axes, summed along the diagonal
     Paper,
+    /// Z-scored along the rows only, summed along the diagonal
+    Rows,
+    /// Local contrast, summed along the best of several lines
+    Seqslam,
+    /// Probabilities of a hidden Markov filter over the row z-scores
+    Filter,
     /// The similarity itself
     None,
 }
@@ -493,12 +499,14 @@ pub(crate) struct SequenceMatchArgs {
     /// Similarity matrix, queries × references, f64 or f32
     #[arg(short, long, value_name = "S.npy")]
     pub(crate) similarity: PathBuf,
-    /// Sequence length in ticks
+    /// Sequence length in ticks; the methods filter and none have none
     #[arg(short, long, value_name = "L")]
-    pub(crate) length: usize,
+    pub(crate) length: Option<usize>,
     /// The method
     #[arg(short, long, default_value = "paper")]
     pub(crate) method: SequenceMethodArg,
+    #[command(flatten)]
+    pub(crate) parameters: MethodArgs,
     /// The array to write, queries × references, f64
     #[arg(short, long, value_name = "T.npy")]
     pub(crate) out: PathBuf,
@@ -596,6 +604,29 @@ pub(crate) struct EvaluateArgs {
     /// All rows as JSON
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// Parameters that only some methods have.
+#[derive(Debug, Parser)]
+pub(crate) struct MethodArgs {
+    /// Method seqslam: references that the local contrast is measured against [default: 20]
+    #[arg(long, value_name = "N")]
+    pub(crate) window: Option<usize>,
+    /// Method seqslam: least and greatest velocity, references per tick [default: 0.8,1.2]
+    #[arg(long, value_name = "V,V", value_delimiter = ',')]
+    pub(crate) velocities: Option<Vec<f64>>,
+    /// Method seqslam: how many velocities are tried [default: 10]
+    #[arg(long, value_name = "N")]
+    pub(crate) velocity_steps: Option<usize>,
+    /// Method filter: how much a z-score of 1 speaks for a place [default: 1.5]
+    #[arg(long, value_name = "B")]
+    pub(crate) beta: Option<f64>,
+    /// Method filter: probabilities that a tick moves on by 0, 1, 2, ... references [default: 0.2,0.5,0.2,0.1]
+    #[arg(long, value_name = "P,P,...", value_delimiter = ',')]
+    pub(crate) transition: Option<Vec<f64>>,
+    /// Method filter: probability that a tick starts anywhere anew [default: 0.02]
+    #[arg(long, value_name = "P")]
+    pub(crate) restart: Option<f64>,
 }
 
 #[derive(Debug, Subcommand)]

@@ -12,8 +12,9 @@ pub(crate) fn matcher_bytes(length: usize) -> u64 {
     8 * (length as u64 + 8)
 }
 
-/// Bytes that a configuration keeps for each reference: fused scores and what is eligible.
-pub(crate) const FUSION_BYTES: u64 = 9;
+/// Bytes that a configuration keeps for each reference, at most: fused scores, what is eligible, and the two rows of a
+/// filter.
+pub(crate) const FUSION_BYTES: u64 = 25;
 
 /// Sequence matching of one member.
 #[derive(Debug)]
@@ -34,11 +35,10 @@ impl Lane {
         if row.is_none() || !self.matcher.score(scores) {
             return Matched::Nothing;
         }
-        // As the running fuser has it: a first row alone tells no places apart.
-        if self.matcher.length() > 1 && self.matcher.history() == 1 {
-            Matched::Alone
-        } else {
+        if self.matcher.has_history() {
             Matched::Scores
+        } else {
+            Matched::Alone
         }
     }
 }
@@ -48,7 +48,7 @@ impl Lane {
 pub(crate) enum Matched {
     /// No row.
     Nothing,
-    /// A row, but none before it.
+    /// A row, but too few before it.
     Alone,
     /// Scores.
     Scores,
@@ -80,9 +80,13 @@ impl Fusion {
         weight: impl Fn(usize) -> f64,
     ) -> Self {
         let members = configuration.subset.members.iter().map(|m| (m, weight(m)));
+        let ensemble = Ensemble::new(pair.references(), 1, exclusion).with_rule(configuration.rule);
         Self {
             members: members.filter(|(_, weight)| *weight != 0.0).collect(),
-            ensemble: Ensemble::new(pair.references(), 1, exclusion),
+            ensemble: match configuration.method {
+                SequenceMethod::Filter(filter) => ensemble.with_filter(filter),
+                _ => ensemble,
+            },
             outcomes: Vec::with_capacity(pair.queries()),
         }
     }

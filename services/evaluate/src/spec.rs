@@ -145,16 +145,12 @@ impl Spec {
         Ok(all)
     }
 
-    /// Methods with their lengths: `none` looks at one tick only.
+    /// Methods with their lengths; 1 for those that have none.
     fn sequences(&self) -> Vec<(SequenceMethod, usize)> {
         let mut all = Vec::new();
         for method in &self.methods {
             for length in &self.lengths {
-                let length = if *method == SequenceMethod::None {
-                    1
-                } else {
-                    *length
-                };
+                let length = if method.has_length() { *length } else { 1 };
                 if !all.contains(&(*method, length)) {
                     all.push((*method, length));
                 }

@@ -3,7 +3,7 @@
 //! What is held at once, for M members, R references, Q queries, blocks of T ticks (so that T·M·R ≤ 4 Mi, T ≥ 1), and per
 //! pass the sequences (method, length L) with their configurations C:
 //!
-//! 16·M·R·T + Σ over sequences (8·M·R·(L + 8)) + C·(9·R + 40·Q) bytes
+//! 16·M·R·T + Σ over sequences (8·M·R·(L + 8)) + C·(25·R + 40·Q) bytes
 //!
 //! besides the rows themselves, which are mapped from the disk. Sequences that do not fit together under the limit are
 //! computed in passes after one another, each of which computes the similarities again.

@@ -4,7 +4,8 @@
 mod support;
 
 use evpr_core::MemberSet;
-use evpr_evaluate::{Configuration, Pair, Results, Row, Spec, evaluate};
+use evpr_core::config::{RULES, SEQUENCE_METHODS};
+use evpr_evaluate::{Configuration, Pair, Results, Row, Spec, SubsetChoice, SubsetKind, evaluate};
 use evpr_fuse::Map;
 use evpr_fuse::offline::{Query, answers};
 use evpr_store::GroundTruth;
@@ -35,13 +36,32 @@ fn right(folder: &Path, c: &Configuration, truth: &GroundTruth) -> (usize, usize
 
 #[test]
 fn every_configuration_has_the_recall_of_the_running_fuser() {
+    have_the_recall_of_the_running_fuser(&spec(), 39);
+}
+
+#[test]
+fn so_have_all_methods_and_rules() {
+    let words = SEQUENCE_METHODS.all();
+    let methods: Vec<_> = words.iter().map(|w| SEQUENCE_METHODS.parse(w).unwrap()).collect();
+    let rules: Vec<_> = RULES.all().iter().map(|w| RULES.parse(w).unwrap()).collect();
+    let spec = Spec {
+        subsets: vec![SubsetChoice::Kind(SubsetKind::Combined)],
+        lengths: vec![4],
+        methods,
+        rules,
+        ..spec()
+    };
+    have_the_recall_of_the_running_fuser(&spec, 30);
+}
+
+/// All configurations of the made-up pair, of which there are `count`.
+fn have_the_recall_of_the_running_fuser(spec: &Spec, count: usize) {
     let folder = tempfile::tempdir().unwrap();
     let pair = open(&pair_in(folder.path()));
-    let spec = spec();
     let configurations = spec.configurations(pair.members()).unwrap();
     let truth = pair.truth().clone();
-    let found = rows(&folder.path().join("out"), &[pair], &spec);
-    assert_eq!((configurations.len(), found.len()), (39, 39));
+    let found = rows(&folder.path().join("out"), &[pair], spec);
+    assert_eq!((configurations.len(), found.len()), (count, count));
     let mut recalls = Vec::new();
     for c in &configurations {
         let row = found.iter().find(|r| r.key == c.key("map-query")).unwrap();

@@ -1,4 +1,4 @@
-//! What happens to one tick, live or offline: similarity rows in, scores, sum and verdict out.
+//! What happens to one tick, live or offline: similarity rows in, scores, fused scores and verdict out.
 
 use crate::ensemble::{Best, Ensemble, Part};
 use crate::similarity::similarity;
@@ -6,7 +6,7 @@ use crate::{FuseError, Map, SequenceMatcher};
 use evpr_core::ledger::TickInfo;
 use evpr_core::member::MAX_MEMBERS;
 use evpr_core::message::{Candidate, MatchHeader};
-use evpr_core::plan::Similarity;
+use evpr_core::plan::{SequenceMethod, Similarity};
 use evpr_core::{MemberSet, Plan, Reason};
 use rayon::prelude::*;
 
@@ -56,9 +56,13 @@ impl Engine {
             matcher: SequenceMatcher::new(fuse.sequence, fuse.length, &member.valid),
             scores: vec![f64::NAN; map.references],
         };
+        let ensemble = Ensemble::new(map.references, fuse.top, fuse.exclusion).with_rule(fuse.rule);
         Ok(Self {
             lanes: map.members.iter().map(lane).collect(),
-            ensemble: Ensemble::new(map.references, fuse.top, fuse.exclusion),
+            ensemble: match fuse.sequence {
+                SequenceMethod::Filter(filter) => ensemble.with_filter(filter),
+                _ => ensemble,
+            },
             names: plan.members.iter().map(|m| m.name.clone()).collect(),
             kind: fuse.similarity,
             map,
@@ -99,13 +103,14 @@ impl Engine {
     /// A member counts when it is enabled, its weight is not 0 and it has a row: one of weight 0 is matched, but
     /// answers as if it were switched off.
     pub(crate) fn advance(&mut self, input: Input<'_>, answer: bool) -> Option<Verdict> {
+        let remembers = self.ensemble.remembers();
         self.lanes.par_iter_mut().zip(input.rows).for_each(|(lane, row)| {
             lane.matcher.push(*row);
-            if answer {
+            if answer || remembers {
                 lane.matcher.score(&mut lane.scores);
             }
         });
-        if !answer {
+        if !answer && !remembers {
             return None;
         }
         let (lanes, members) = (&self.lanes, &self.map.members);
@@ -117,12 +122,12 @@ impl Engine {
             valid: &members[m].valid,
             weight: input.weights[m],
         }));
-        let alone = |m: usize| lanes[m].matcher.length() > 1 && lanes[m].matcher.history() == 1;
-        Some(match best {
+        answer.then(|| match best {
             _ if input.lost => Verdict::None(Reason::Lost),
             _ if !input.enabled.iter().any(|m| weighs(&m)) => Verdict::None(Reason::NoMembers),
+            _ if counting().next().is_none() => Verdict::None(Reason::NoRows),
+            _ if !counting().any(|m| lanes[m].matcher.has_history()) => Verdict::None(Reason::NoHistory),
             None => Verdict::None(Reason::NoRows),
-            Some(_) if counting().all(alone) => Verdict::None(Reason::NoHistory),
             Some(best) => Verdict::Match(best),
         })
     }
@@ -196,6 +201,12 @@ fn check(plan: &Plan, map: &Map) -> Result<(), FuseError> {
     if u32::try_from(map.references).is_err() {
         return Err(FuseError::TooLong {
             references: map.references,
+        });
+    }
+    if let (SequenceMethod::SeqSlam(_), true) = (plan.fuse.sequence, map.references < plan.fuse.length) {
+        return Err(FuseError::TooShort {
+            references: map.references,
+            length: plan.fuse.length,
         });
     }
     check_members(plan, &map.members, map.references)?;

@@ -1,6 +1,9 @@
-//! The ensemble: the members' scores added up, the best place, its rivals and its confidence.
+//! The ensemble: the members' scores made one, the best place, its rivals and its confidence.
 
+use crate::fusion::combine;
+use crate::sequence::ForwardFilter;
 use evpr_core::message::Candidate;
+use evpr_core::plan::{Filter, Rule};
 
 /// References that are passed over at once where none of them is among the best.
 const BLOCK: usize = 64;
@@ -29,9 +32,11 @@ pub struct Best {
     pub confidence: f64,
 }
 
-/// Fuses the members of a tick by the weighted sum. Its memory is reused from tick to tick.
+/// Fuses the members of a tick. Its memory is reused from tick to tick.
 #[derive(Debug)]
 pub struct Ensemble {
+    rule: Rule,
+    filter: Option<ForwardFilter>,
     top: usize,
     exclusion: usize,
     fused: Vec<f64>,
@@ -45,6 +50,8 @@ impl Ensemble {
     pub fn new(references: usize, top: usize, exclusion: usize) -> Self {
         let top = top.clamp(1, references.max(1));
         Self {
+            rule: Rule::Sum,
+            filter: None,
             top,
             exclusion,
             fused: vec![0.0; references],
@@ -53,8 +60,28 @@ impl Ensemble {
         }
     }
 
-    /// E\[j\] = Σ w·S̃\[j\] over `parts`, in their order. The answer is its maximum among the references that at least
-    /// one of `parts` has a row for; the lowest index wins ties. None when there is no such reference.
+    /// The same by another rule than the sum; [`mod@crate::fusion`] has their formulas.
+    #[must_use]
+    pub fn with_rule(self, rule: Rule) -> Self {
+        Self { rule, ..self }
+    }
+
+    /// The same with a filter that takes E for z-scores: the fused scores are then the probabilities of the places.
+    /// Such an ensemble has to be shown every tick, those without any member too.
+    #[must_use]
+    pub fn with_filter(self, filter: Filter) -> Self {
+        let filter = Some(ForwardFilter::new(filter, self.fused.len()));
+        Self { filter, ..self }
+    }
+
+    /// Whether a tick bears on later ones, so that none may be left out.
+    pub fn remembers(&self) -> bool {
+        self.filter.is_some()
+    }
+
+    /// E\[j\] = Σ w·S̃\[j\] over `parts`, in their order, or what another rule or a filter makes of it. The answer is
+    /// its maximum among the references that at least one of `parts` has a row for and whose score is not −∞; the
+    /// lowest index wins ties. None when there is no such reference.
     ///
     /// The confidence is (E_best − E_rival) / (E_best − mean E), clamped to 0…1: the rival is the best eligible
     /// reference more than `exclusion` away from the best, the mean goes over the eligible references. It is 1 when
@@ -64,21 +91,7 @@ impl Ensemble {
     /// # Panics
     /// When a part does not have one entry per reference.
     pub fn fuse<'a>(&mut self, parts: impl Iterator<Item = Part<'a>>) -> Option<Best> {
-        self.fused.fill(0.0);
-        self.eligible.fill(false);
-        self.candidates.clear();
-        for part in parts {
-            assert_eq!(
-                (part.scores.len(), part.valid.len()),
-                (self.fused.len(), self.fused.len())
-            );
-            for (sum, score) in self.fused.iter_mut().zip(part.scores) {
-                *sum += part.weight * score;
-            }
-            for (eligible, valid) in self.eligible.iter_mut().zip(part.valid) {
-                *eligible |= valid;
-            }
-        }
+        self.combine(parts);
         self.rank();
         let best = *self.candidates.first()?;
         let reference = best.reference as usize;
@@ -89,7 +102,41 @@ impl Ensemble {
         })
     }
 
-    /// E of the last [`Ensemble::fuse`], one score per reference.
+    /// Finds E and who is eligible.
+    fn combine<'a>(&mut self, parts: impl Iterator<Item = Part<'a>>) {
+        let references = self.fused.len();
+        self.fused.fill(0.0);
+        self.eligible.fill(false);
+        self.candidates.clear();
+        let (mut others, mut any) = (Vec::new(), false);
+        for part in parts {
+            assert_eq!(
+                (part.scores.len(), part.valid.len()),
+                (references, references),
+                "a part has one entry per reference"
+            );
+            any = true;
+            for (eligible, valid) in self.eligible.iter_mut().zip(part.valid) {
+                *eligible |= valid;
+            }
+            if self.rule == Rule::Sum {
+                for (sum, score) in self.fused.iter_mut().zip(part.scores) {
+                    *sum += part.weight * score;
+                }
+            } else {
+                others.push(part);
+            }
+        }
+        if self.rule != Rule::Sum {
+            combine(self.rule, &others, &mut self.fused);
+        }
+        if let Some(filter) = &mut self.filter {
+            let probabilities = filter.advance(any.then_some(&self.fused));
+            self.fused.copy_from_slice(probabilities);
+        }
+    }
+
+    /// E of the last [`Ensemble::fuse`], one score per reference; with a filter its probability.
     pub fn fused(&self) -> &[f64] {
         &self.fused
     }
@@ -112,8 +159,10 @@ impl Ensemble {
             if worst.is_some_and(|worst| highest(scores, eligible) <= worst.score) {
                 continue;
             }
-            for (index, (score, _)) in scores.iter().zip(eligible).enumerate().filter(|(_, (_, e))| **e) {
-                insert(&mut best, self.top, start + index, *score);
+            for (index, (score, eligible)) in scores.iter().zip(eligible).enumerate() {
+                if counts(*score, *eligible) {
+                    insert(&mut best, self.top, start + index, *score);
+                }
             }
         }
         self.candidates = best;
@@ -172,23 +221,32 @@ fn highest(scores: &[f64], eligible: &[bool]) -> f64 {
     most.into_iter().chain(rest).fold(f64::NEG_INFINITY, f64::max)
 }
 
+/// Whether a place can be the answer: −∞ is what cannot be scored.
+#[inline(always)]
+fn counts(score: f64, eligible: bool) -> bool {
+    eligible & (score > f64::NEG_INFINITY)
+}
+
 /// The sum of the eligible scores, and how many there are.
 fn sum_and_count(scores: &[f64], eligible: &[bool]) -> (f64, f64) {
     let (lanes, rest) = scores.as_chunks::<LANES>();
     let (e_lanes, e_rest) = eligible.as_chunks::<LANES>();
-    let mut sums = [0.0; LANES];
+    let (mut sums, mut numbers) = ([0.0; LANES], [0.0; LANES]);
     for (scores, eligible) in lanes.iter().zip(e_lanes) {
         for k in 0..LANES {
-            sums[k] += if eligible[k] { scores[k] } else { 0.0 };
+            let counts = counts(scores[k], eligible[k]);
+            sums[k] += if counts { scores[k] } else { 0.0 };
+            numbers[k] += f64::from(counts);
         }
     }
-    let rest = rest
-        .iter()
-        .zip(e_rest)
-        .filter(|(_, e)| **e)
-        .map(|(score, _)| *score);
-    let count = eligible.iter().filter(|e| **e).count();
-    (sums.into_iter().chain(rest).sum(), count as f64)
+    let rest = rest.iter().zip(e_rest).filter(|(s, e)| counts(**s, **e));
+    let (sum, number) = rest.fold((0.0, 0.0), |(sum, number), (score, _)| {
+        (sum + score, number + 1.0)
+    });
+    (
+        sums.into_iter().sum::<f64>() + sum,
+        numbers.into_iter().sum::<f64>() + number,
+    )
 }
 
 #[cfg(test)]

@@ -20,6 +20,17 @@ pub enum FuseError {
         /// Ticks of the map.
         references: usize,
     },
+    /// The map has fewer ticks than a line through the sequence of `seqslam` needs.
+    #[error(
+        "the reference map has {references} ticks, fewer than the sequence of seqslam is long: none could ever be the \
+         answer; write fuse.sequence.length = {references} or less"
+    )]
+    TooShort {
+        /// Ticks of the map.
+        references: usize,
+        /// L.
+        length: usize,
+    },
     /// The plan has more members than an answer can name.
     #[error("the plan has {members} members; the most is {most}; leave some out")]
     TooManyMembers {

@@ -1,10 +1,11 @@
-//! Fusion: compares the rows of a tick with a reference map, matches sequences, and adds the members up to one
-//! answer per tick.
+//! Fusion: compares the rows of a tick with a reference map, matches sequences, and makes one answer per tick of all
+//! members.
 //!
 //! The way of a row, with the file that does each step:
 //! 1. [`similarity`]: the row against every row of the map, S\[q, j\];
 //! 2. [`sequence`]: the last L similarity rows of a member, with holes, S̃\[q, j\];
-//! 3. [`ensemble`]: E = Σ w·S̃ over the members that have a row, the best place, its rivals and its confidence.
+//! 3. [`ensemble`]: E = Σ w·S̃ over the members that have a row, or another rule of [`fusion`]; the best place, its
+//!    rivals and its confidence.
 //!
 //! [`Fuser`] runs them as a [`Sink`](evpr_core::stage::Sink) on live messages, [`offline`] on stored traverses; both
 //! stand on the same engine. [`sequence_match`] is step 2 alone, on a whole matrix.
@@ -13,6 +14,7 @@ mod engine;
 pub mod ensemble;
 mod error;
 mod fuser;
+pub mod fusion;
 mod map;
 pub mod offline;
 pub mod sequence;

@@ -5,6 +5,7 @@ use crate::map::open_members;
 use crate::{FuseError, Map, MapMember};
 use evpr_core::ledger::TickInfo;
 use evpr_core::member::MAX_MEMBERS;
+use evpr_core::plan::Filter;
 use evpr_core::stage::Answer;
 use evpr_core::{MemberSet, Plan, Reason};
 use std::path::Path;
@@ -70,8 +71,12 @@ pub fn answers(
     let mut answers = Vec::with_capacity(query.ticks.len());
     let mut next = query.ticks.first().map_or(0, |t| t.tick);
     for (index, at) in query.ticks.iter().enumerate() {
-        // More missing ticks than the sequence is long leave the same empty window.
-        for _ in 0..at.tick.saturating_sub(next).min(plan.fuse.length as u64) {
+        // More missing ticks than this leave the same empty window, or a filter that starts over.
+        let most = plan
+            .fuse
+            .history_ticks()
+            .map_or(Filter::FORGETS_AFTER, |history| history + 1);
+        for _ in 0..at.tick.saturating_sub(next).min(most) {
             let input = Input {
                 enabled: &MemberSet::default(),
                 weights: &weights,

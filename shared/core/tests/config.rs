@@ -6,8 +6,8 @@
 use evpr_core::Plan;
 use evpr_core::config::{Overrides, parse, registry_path, test_catalog};
 use evpr_core::plan::{
-    Crop, Inference, Network, PositionClock, PositionCompat, PositionKind, Positions, Provider, Sensor,
-    UtmZone,
+    Crop, Filter, Inference, Network, PositionClock, PositionCompat, PositionKind, Positions, Provider, Rule,
+    Sensor, SeqSlam, SequenceMethod, Transition, UtmZone,
 };
 use std::path::{Path, PathBuf};
 
@@ -152,6 +152,62 @@ fn live_windows_ascend_and_parameters_arrive() {
     assert_eq!(plan.extractors[0].dim, 49);
     assert_eq!((plan.deadline_ns, plan.fuse.length), (50_000_000, 1));
     assert_eq!(plan.name, "live-1");
+}
+
+#[test]
+fn sequence_methods_and_rules_have_their_parameters() {
+    let seqslam = named("tests/config/valid/seqslam.toml").fuse;
+    let expected = SeqSlam {
+        window: 30,
+        velocities: [0.0, 2.0],
+        velocity_steps: 3,
+    };
+    assert_eq!(
+        (seqslam.sequence, seqslam.length, seqslam.rule),
+        (
+            SequenceMethod::SeqSlam(expected),
+            5,
+            Rule::TrimmedMean { trim: 0.1 }
+        )
+    );
+    let filter = named("tests/config/valid/filter.toml").fuse;
+    let expected = Filter {
+        beta: 2.0,
+        transition: Transition::new(&[0.4, 0.6]).unwrap(),
+        restart: 0.1,
+    };
+    assert_eq!(
+        (filter.sequence, filter.length, filter.rule),
+        (SequenceMethod::Filter(expected), 1, Rule::Mean)
+    );
+    let stages = "[[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n";
+    let fuse = |keys: &str| {
+        let text = format!("{stages}[fuse]\n{keys}\n");
+        let config = parse(&text, "x.toml", &test_catalog()).unwrap_or_else(|e| panic!("{e}"));
+        let fuse = config.fuse();
+        (fuse.sequence, fuse.length, fuse.rule)
+    };
+    for (keys, expected) in [
+        (
+            "sequence.method = \"rows\"",
+            (SequenceMethod::Rows, 10, Rule::Sum),
+        ),
+        (
+            "sequence.method = \"seqslam\"",
+            (SequenceMethod::SeqSlam(SeqSlam::AUTHORS), 10, Rule::Sum),
+        ),
+        (
+            "sequence.method = \"filter\"\nrule = \"sum\"",
+            (SequenceMethod::Filter(Filter::DEFAULT), 1, Rule::Sum),
+        ),
+        ("rule = \"median\"", (SequenceMethod::Paper, 10, Rule::Median)),
+        (
+            "rule = \"trimmed_mean\"",
+            (SequenceMethod::Paper, 10, Rule::TrimmedMean { trim: 0.25 }),
+        ),
+    ] {
+        assert_eq!(fuse(keys), expected, "{keys}");
+    }
 }
 
 #[test]

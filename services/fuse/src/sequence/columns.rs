@@ -4,7 +4,8 @@
 //! A block of columns is read from the ring once and stays in the cache for three passes: means, variances, and the
 //! sums of z and z² of each row. Blocks are independent; the rows' sums are added up in the order of the blocks.
 
-use super::{EPSILON, RowScale, Window};
+use super::paper::RowScale;
+use super::{EPSILON, Window};
 use crate::simd::{Kernel, run_widest};
 use rayon::prelude::*;
 use std::ops::Range;

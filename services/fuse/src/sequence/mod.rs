@@ -1,31 +1,42 @@
-//! Sequence matching: from the last L similarity rows of a member to one score per place.
+//! Sequence matching: from the last similarity rows of a member to one score per place.
 //!
-//! Method `paper` (after SeqSLAM, with z-scores on both axes). At query tick q, C is the rows of S of the last
-//! N = min(L, q+1) ticks that have one, over the columns that the map has a row for:
-//! 1. columns: C ← (C − mean) / (σ + 1e-8), σ the population standard deviation down the column; where
-//!    σ + 1e-8 < 1e-4 the column is divided by 1;
-//! 2. rows: Z ← (C − mean) / (σ + 1e-8), along the row;
-//! 3. S̃\[q, j\] = Σ over the window's ticks t with a row of Z\[t, j − (q − t)\], where that column exists.
+//! | method | S̃\[q, j\] | in |
+//! |---|---|---|
+//! | `paper` | both axes z-scored, summed along the diagonal | [`mod@paper`] |
+//! | `rows` | z = (S − mean) / (σ + 1e-8) along each row, summed along the diagonal: Σ z\[t, j − (q − t)\] | here |
+//! | `seqslam` | local contrast along each row, summed along the best of several lines | [`mod@seqslam`] |
+//! | `filter` | z of this tick alone; the members' z are fused, then filtered | [`mod@filter`] |
+//! | `none` | S of this tick alone | here |
 //!
-//! What is missing (a tick without a row, a column without one) is left out of the statistics and adds 0; nothing
-//! shifts and nothing is rescaled. A column without a map row scores 0. L = 1 and method `none` give S itself,
-//! columns without a map row the mean of the others.
+//! σ is the population standard deviation. With L = 1 `paper` and `rows` give S itself, as `none` does.
 //!
-//! Everything is computed anew from the ring at each tick, so nothing drifts. The ring is read twice: once for the
-//! statistics of columns and rows (`columns`), once for the sum (`diagonals`). Large maps are shared out among the
-//! threads of the current rayon pool, in pieces that do not depend on their number: neither do the scores. Where the
-//! places of a tick all changed nearly alike, step 2 magnifies rounding errors, and only sums in NumPy's own order
-//! give NumPy's scores: then the rows are computed again in that order (`numpy_order`).
+//! What is missing is left out of the statistics and adds 0; nothing shifts and nothing is rescaled:
+//! - A tick without a row adds no terms. The member sits it out, and it still takes its place in the window. To the
+//!   filter, a tick on which no member has a row is one that says nothing: the camera moves on all the same.
+//! - A reference without a map row scores 0, which speaks neither for nor against it; where S itself is the score, the
+//!   mean of the others. For `seqslam`, the neighbours that a place is compared with are the nearest references with a
+//!   row.
+//!
+//! Scores are computed anew from the ring at each tick, so nothing drifts. What needs one row only (its z-scores, its
+//! local contrast) is computed as it comes. Large maps are shared out among the threads of the current rayon pool, in
+//! pieces that do not depend on their number: neither do the scores.
 
 mod columns;
 mod diagonals;
+pub mod filter;
 mod numpy_order;
+mod paper;
 mod runs;
+mod seqslam;
 
-use columns::Columns;
+pub use filter::ForwardFilter;
+
 use evpr_core::plan::SequenceMethod;
 use ndarray::{Array2, ArrayView2};
+use paper::Paper;
 use runs::Runs;
+use seqslam::Lines;
+use std::ops::Range;
 
 /// Added to standard deviations, as in the authors' code.
 const EPSILON: f64 = 1e-8;
@@ -62,62 +73,69 @@ impl<'a> Window<'a> {
     }
 }
 
-/// What step 2 does to a row: z ↦ (z − mean) · factor.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct RowScale {
-    mean: f64,
-    /// 1 / (σ + 1e-8).
-    factor: f64,
-}
-
-impl RowScale {
-    fn new(mean: f64, variance: f64) -> Self {
-        let factor = 1.0 / (variance.sqrt() + EPSILON);
-        Self { mean, factor }
-    }
+/// What is done with the rows of the ring.
+#[derive(Debug)]
+enum Method {
+    /// S itself.
+    Alone,
+    Paper(Paper),
+    /// The ring holds row z-scores.
+    Rows,
+    /// The ring holds local contrasts of all references.
+    SeqSlam(Lines),
 }
 
 /// Sequence matching of one member, tick by tick.
 ///
-/// Keeps a ring of the last L rows (L × valid references, f64); nothing is allocated after [`SequenceMatcher::new`].
+/// Keeps a ring of the last L rows (L × references with a map row, f64); nothing is allocated after
+/// [`SequenceMatcher::new`].
 #[derive(Debug)]
 pub struct SequenceMatcher {
-    /// L, at least 1. Method `none` is L = 1.
+    method: Method,
+    /// L, at least 1. Methods without a length have 1.
     length: usize,
     references: usize,
     runs: Runs,
-    /// L rows of the columns in `runs`.
+    /// Values per row of the ring: one per column in `runs`, or per reference.
+    width: usize,
     ring: Vec<f64>,
     /// Per slot of the ring: whether its tick had a row.
     present: Vec<bool>,
     /// Slot of the newest tick.
     newest: usize,
+    /// Ticks taken, counted up to L.
+    taken: usize,
     /// The window's ticks that have a row, oldest first: (slot, lag).
     ticks: Vec<(usize, usize)>,
-    columns: Columns,
-    row_scales: Vec<RowScale>,
 }
 
 impl SequenceMatcher {
     /// A matcher over as many references as `valid` has entries; false where the map has no row. `length` is L in
-    /// ticks; 0 counts as 1, and [`SequenceMethod::None`] has no use for more than 1.
+    /// ticks; 0 counts as 1, and [`SequenceMethod::None`] and [`SequenceMethod::Filter`] have no use for more than 1.
     pub fn new(method: SequenceMethod, length: usize, valid: &[bool]) -> Self {
-        let length = match method {
-            SequenceMethod::Paper => length.max(1),
-            SequenceMethod::None => 1,
-        };
+        let length = if method.has_length() { length.max(1) } else { 1 };
         let runs = Runs::new(valid);
         let columns = runs.columns();
-        let scratch = if length == 1 { 0 } else { columns };
+        let (method, width) = match method {
+            SequenceMethod::Paper if length > 1 => (Method::Paper(Paper::new(columns, length)), columns),
+            SequenceMethod::Rows if length > 1 => (Method::Rows, columns),
+            SequenceMethod::Filter(_) => (Method::Rows, columns),
+            SequenceMethod::SeqSlam(parameters) => {
+                let lines = Lines::new(parameters, length, valid.len(), columns);
+                (Method::SeqSlam(lines), valid.len())
+            }
+            SequenceMethod::Paper | SequenceMethod::Rows | SequenceMethod::None => (Method::Alone, columns),
+        };
         Self {
+            method,
             length,
             references: valid.len(),
-            ring: vec![0.0; length * columns],
+            ring: vec![0.0; length * width],
+            width,
             present: vec![false; length],
             newest: length - 1,
+            taken: 0,
             ticks: Vec::with_capacity(length),
-            columns: Columns::new(scratch, length),
-            row_scales: vec![RowScale::default(); length],
             runs,
         }
     }
@@ -130,6 +148,7 @@ impl SequenceMatcher {
     pub fn push(&mut self, row: Option<&[f64]>) {
         let slot = (self.newest + 1) % self.length;
         self.newest = slot;
+        self.taken = (self.taken + 1).min(self.length);
         self.present[slot] = row.is_some();
         let Some(row) = row else { return };
         assert_eq!(
@@ -137,10 +156,15 @@ impl SequenceMatcher {
             self.references,
             "a similarity row has one value per reference"
         );
-        let columns = self.runs.columns();
-        let kept = &mut self.ring[slot * columns..(slot + 1) * columns];
+        let kept = &mut self.ring[slot * self.width..(slot + 1) * self.width];
+        if let Method::SeqSlam(lines) = &mut self.method {
+            return lines.contrast(row, &self.runs, kept);
+        }
         for run in self.runs.iter() {
             kept[run.columns()].copy_from_slice(&row[run.references()]);
+        }
+        if let Method::Rows = self.method {
+            standardise(kept);
         }
     }
 
@@ -149,13 +173,24 @@ impl SequenceMatcher {
         self.present.iter().filter(|p| **p).count()
     }
 
-    /// L in ticks.
+    /// L in ticks; 1 where the method has no length.
     pub fn length(&self) -> usize {
         self.length
     }
 
+    /// Whether there is history enough for scores that tell places apart: `paper` wants a second row in its window,
+    /// `seqslam` L ticks, with or without rows. The others always have it.
+    pub fn has_history(&self) -> bool {
+        match self.method {
+            Method::Alone | Method::Rows => true,
+            Method::Paper(_) => self.history() > 1,
+            Method::SeqSlam(_) => self.taken == self.length,
+        }
+    }
+
     /// Writes S̃ of the newest tick (R values) and returns true; false, and `out` all NaN, when that tick has no row
-    /// or the map has none at all: the member sits it out.
+    /// or the map has none at all: the member sits it out. A place that the method cannot score is −∞: with `seqslam`
+    /// the first L − 1 references, and all of them until there are L ticks.
     ///
     /// # Panics
     /// When `out` does not have one value per reference.
@@ -165,23 +200,20 @@ impl SequenceMatcher {
             out.fill(f64::NAN);
             return false;
         }
-        if self.length == 1 {
-            self.score_alone(out);
-        } else {
-            self.find_ticks();
-            self.score_window(out);
+        self.find_ticks();
+        let window = Window {
+            ring: &self.ring,
+            columns: self.width,
+            ticks: &self.ticks,
+        };
+        match &mut self.method {
+            Method::Alone => score_alone(&self.ring, &self.runs, out),
+            Method::Paper(paper) => paper.score(window, &self.runs, out),
+            Method::Rows => diagonals::add(window, &self.runs, AsTheyAre, out),
+            Method::SeqSlam(_) if self.taken < self.length => out.fill(f64::NEG_INFINITY),
+            Method::SeqSlam(lines) => lines.score(window, &self.runs, out),
         }
         true
-    }
-
-    /// L = 1: S itself, what the map does not have as the mean of the rest.
-    fn score_alone(&self, out: &mut [f64]) {
-        if self.runs.columns() < self.references {
-            out.fill(numpy_order::sum(&self.ring) / self.runs.columns() as f64);
-        }
-        for run in self.runs.iter() {
-            out[run.references()].copy_from_slice(&self.ring[run.columns()]);
-        }
     }
 
     fn find_ticks(&mut self) {
@@ -194,31 +226,65 @@ impl SequenceMatcher {
         }
     }
 
-    fn score_window(&mut self, out: &mut [f64]) {
+    /// For tests: what `paper` works on.
+    #[cfg(test)]
+    fn paper_parts(&self) -> Option<(&Paper, Window<'_>)> {
         let window = Window {
             ring: &self.ring,
-            columns: self.runs.columns(),
+            columns: self.width,
             ticks: &self.ticks,
         };
-        let scales = &mut self.row_scales[..window.len()];
-        self.columns.measure(window);
-        if self.columns.row_scales(window, scales) {
-            diagonals::add(window, &self.runs, self.columns.by_product(), scales, out);
-        } else {
-            let z = self.columns.by_quotient();
-            numpy_order::row_scales(window, z, scales);
-            diagonals::add(window, &self.runs, z, scales, out);
+        match &self.method {
+            Method::Paper(paper) => Some((paper, window)),
+            _ => None,
+        }
+    }
+}
+
+/// S itself, what the map does not have as the mean of the rest.
+fn score_alone(row: &[f64], runs: &Runs, out: &mut [f64]) {
+    if row.len() < out.len() {
+        out.fill(numpy_order::sum(row, |s| s) / row.len() as f64);
+    }
+    for run in runs.iter() {
+        out[run.references()].copy_from_slice(&row[run.columns()]);
+    }
+}
+
+/// Row z-scores, in NumPy's own order: where all places are alike, only rounding errors are left, scaled by 1e8.
+fn standardise(row: &mut [f64]) {
+    let n = row.len() as f64;
+    let mean = numpy_order::sum(row, |s| s) / n;
+    row.iter_mut().for_each(|s| *s -= mean);
+    let scale = (numpy_order::sum(row, |d| d * d) / n).sqrt() + EPSILON;
+    row.iter_mut().for_each(|d| *d /= scale);
+}
+
+/// Terms of the diagonal sum that need nothing done to them.
+#[derive(Debug, Clone, Copy)]
+struct AsTheyAre;
+
+impl diagonals::Terms for AsTheyAre {
+    #[inline(always)]
+    fn add(&self, out: &mut [f64], _tick: usize, row: &[f64], columns: Range<usize>) {
+        for (out, z) in out.iter_mut().zip(&row[columns]) {
+            *out += z;
         }
     }
 }
 
 /// Sequence matching of a whole matrix: S (Q×R, similarity of query tick q and reference j) to S̃ (Q×R), everything
-/// present. The same code as the running fuser's, fed row by row.
+/// present. The same code as the running fuser's, fed row by row. For `filter` these are the probabilities that one
+/// member's rows give.
 ///
-/// While N = 1 < L (the first tick) all scores are 0. A `length` of 0 counts as 1. Values should be finite; NaN
-/// spreads through the statistics of its window.
+/// While N = 1 < L (the first tick) all scores of `paper` are 0, and the first L − 1 rows and columns of `seqslam` are
+/// −∞. A `length` of 0 counts as 1. Values should be finite; NaN spreads through the statistics of its window.
 pub fn sequence_match(similarity: ArrayView2<'_, f64>, length: usize, method: SequenceMethod) -> Array2<f64> {
     let mut matcher = SequenceMatcher::new(method, length, &vec![true; similarity.ncols()]);
+    let mut filter = match method {
+        SequenceMethod::Filter(parameters) => Some(ForwardFilter::new(parameters, similarity.ncols())),
+        _ => None,
+    };
     let mut scores = Array2::zeros(similarity.dim());
     let (mut row, mut out) = (vec![0.0; similarity.ncols()], vec![0.0; similarity.ncols()]);
     if row.is_empty() {
@@ -228,109 +294,11 @@ pub fn sequence_match(similarity: ArrayView2<'_, f64>, length: usize, method: Se
         row.iter_mut().zip(from).for_each(|(r, s)| *r = *s);
         matcher.push(Some(&row));
         matcher.score(&mut out);
+        if let Some(filter) = &mut filter {
+            filter.advance(Some(&out));
+            out.copy_from_slice(filter.probabilities());
+        }
         to.iter_mut().zip(&out).for_each(|(t, s)| *t = *s);
     }
     scores
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::simd::tests::with_baseline;
-    use proptest::prelude::*;
-
-    /// A matcher that was shown `ticks` rows: noise, and per tick a step that all places take.
-    fn matcher(references: usize, ticks: usize, step: f64) -> SequenceMatcher {
-        let valid: Vec<bool> = (0..references).map(|j| j % 7 != 5).collect();
-        let mut matcher = SequenceMatcher::new(SequenceMethod::Paper, ticks, &valid);
-        let noise = |i: usize| ((i * 7919 + 17) as f64).sin() * 43_758.545_3 % 1.0;
-        for t in 0..ticks {
-            let row: Vec<f64> = (0..references)
-                .map(|j| noise(t * references + j) + step * (t * t % 5) as f64)
-                .collect();
-            matcher.push(Some(&row));
-        }
-        matcher
-    }
-
-    fn scores(matcher: &mut SequenceMatcher) -> Vec<f64> {
-        let mut out = vec![0.0; matcher.references];
-        assert!(matcher.score(&mut out));
-        out
-    }
-
-    /// The same with NumPy's sums, whatever the moments say.
-    fn scores_in_numpy_order(matcher: &mut SequenceMatcher) -> Vec<f64> {
-        scores(matcher);
-        let window = Window {
-            ring: &matcher.ring,
-            columns: matcher.runs.columns(),
-            ticks: &matcher.ticks,
-        };
-        let mut scales = vec![RowScale::default(); window.len()];
-        let mut out = vec![0.0; matcher.references];
-        numpy_order::row_scales(window, matcher.columns.by_quotient(), &mut scales);
-        diagonals::add(
-            window,
-            &matcher.runs,
-            matcher.columns.by_quotient(),
-            &scales,
-            &mut out,
-        );
-        out
-    }
-
-    fn moments_can_tell(matcher: &mut SequenceMatcher) -> bool {
-        scores(matcher);
-        let window = Window {
-            ring: &matcher.ring,
-            columns: matcher.runs.columns(),
-            ticks: &matcher.ticks,
-        };
-        let mut scales = vec![RowScale::default(); window.len()];
-        matcher.columns.row_scales(window, &mut scales)
-    }
-
-    #[test]
-    fn numpy_order_is_for_places_that_change_alike() {
-        for (step, can_tell) in [(0.0, true), (1.0, true), (5.0, true), (1e4, false), (1e9, false)] {
-            let mut matcher = matcher(3000, 10, step);
-            assert_eq!(moments_can_tell(&mut matcher), can_tell, "step {step}");
-            if !can_tell {
-                assert_eq!(scores(&mut matcher), scores_in_numpy_order(&mut matcher));
-            }
-        }
-    }
-
-    #[test]
-    fn a_single_tick_needs_no_numpy_order() {
-        let mut first = SequenceMatcher::new(SequenceMethod::Paper, 4, &[true; 300]);
-        first.push(Some(&vec![0.7; 300]));
-        assert!(moments_can_tell(&mut first));
-        assert!(scores(&mut first).iter().all(|s| *s == 0.0));
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(48))]
-
-        #[test]
-        fn both_orders_agree_where_moments_can_tell(
-            references in 2usize..2000, ticks in 2usize..12, step in 0.0f64..30.0,
-        ) {
-            let mut matcher = matcher(references, ticks, step);
-            prop_assume!(moments_can_tell(&mut matcher));
-            let (got, want) = (scores(&mut matcher), scores_in_numpy_order(&mut matcher));
-            for (g, w) in got.iter().zip(&want) {
-                prop_assert!((g - w).abs() <= 1e-10 * w.abs().max(1.0), "{} {}", g, w);
-            }
-        }
-
-        #[test]
-        fn the_width_of_the_vectors_changes_nothing(references in 1usize..1000, ticks in 1usize..12) {
-            prop_assume!(references * ticks < PARALLEL_VALUES);
-            let mut matcher = matcher(references, ticks, 0.3);
-            let wide = scores(&mut matcher);
-            prop_assert_eq!(wide, with_baseline(|| scores(&mut matcher)));
-        }
-    }
 }

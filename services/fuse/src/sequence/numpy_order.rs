@@ -5,8 +5,9 @@
 //! [`columns`](super::columns) does, and the values of a row pairwise: halves of halves, down to leaves of at most
 //! 128 values, which it adds in eight lanes.
 
+use super::Window;
 use super::columns::Standardise;
-use super::{RowScale, Window};
+use super::paper::RowScale;
 use std::ops::Range;
 
 /// Values of a leaf at most.
@@ -28,17 +29,17 @@ pub(super) fn row_scales<F: Fn(f64, f64) -> f64>(
     }
 }
 
-/// Σ values.
-pub(super) fn sum(values: &[f64]) -> f64 {
+/// Σ f(value).
+pub(super) fn sum(values: &[f64], f: impl Fn(f64) -> f64) -> f64 {
     pairwise(0..values.len(), &|leaf| {
         let (lanes, rest) = values[leaf].as_chunks::<8>();
         let mut sums = [0.0; 8];
         for lane in lanes {
             for k in 0..8 {
-                sums[k] += lane[k];
+                sums[k] += f(lane[k]);
             }
         }
-        add_lanes(sums, rest.iter().copied())
+        add_lanes(sums, rest.iter().map(|v| f(*v)))
     })
 }
 

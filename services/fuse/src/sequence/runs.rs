@@ -74,6 +74,19 @@ impl Runs {
             }
         })
     }
+
+    /// The references among these that the map has no rows for, as ranges that are not empty.
+    #[inline(always)]
+    pub(super) fn holes_within(&self, references: Range<usize>) -> impl Iterator<Item = Range<usize>> + '_ {
+        let Range { mut start, end } = references;
+        let runs = self.within(start..end).map(|run| run.references());
+        let holes = runs.chain(std::iter::once(end..end)).map(move |run| {
+            let hole = start..run.start;
+            start = run.end;
+            hole
+        });
+        holes.filter(|hole| !hole.is_empty())
+    }
 }
 
 #[cfg(test)]
@@ -94,6 +107,17 @@ mod tests {
         assert_eq!(cut(&valid, 0..6), [(1..3, 0..2), (5..6, 2..3)]);
         assert_eq!(cut(&[false; 4], 0..4), []);
         assert_eq!(cut(&[], 0..0), []);
+    }
+
+    #[test]
+    fn holes_are_what_lies_between_runs() {
+        let runs = Runs::new(&[false, true, true, false, false, true]);
+        let holes = |range| runs.holes_within(range).collect::<Vec<_>>();
+        assert_eq!(holes(0..6), [0..1, 3..5]);
+        assert_eq!(holes(1..4), vec![3..4; 1]);
+        assert_eq!(holes(1..3), []);
+        let none = Runs::new(&[false; 4]);
+        assert_eq!(none.holes_within(1..3).collect::<Vec<_>>(), vec![1..3; 1]);
     }
 
     #[test]

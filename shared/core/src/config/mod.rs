@@ -6,6 +6,7 @@
 
 mod error;
 mod frames;
+mod fuse;
 mod inference;
 mod members;
 mod noise;
@@ -153,7 +154,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
     }
     let parts = members::Parts::new(&reconstructions, slicing.as_ref(), &extractors);
     let members = members::ensemble(root.section("ensemble"), &parts);
-    let fuse = schema::fuse(root.section("fuse"));
+    let fuse = fuse::fuse(root.section("fuse"));
     let inference = inference::inference(root.section("inference"));
     let record_rows = schema::record(root.section("record"));
     let runtime = schema::runtime(root.section("runtime"));

@@ -1,11 +1,11 @@
 //! The sections of the configuration: every key, with its meaning, its default and its checks, in one place.
-//! The source, slicing, the stanzas of stages and the members are in files of their own.
+//! The larger sections are in files of their own.
 
 use super::reader::{Table, Value};
 use super::sink::Key;
-use super::words::{DELIVERIES, ROW_TYPES, RULES, SEQUENCE_METHODS, SIMILARITIES};
+use super::words::{DELIVERIES, ROW_TYPES};
 use crate::message::Event;
-use crate::plan::{Delivery, Fuse, RowType, Rule, Sensor, SequenceMethod, Similarity};
+use crate::plan::{Delivery, RowType, Sensor};
 
 /// The longest instance name: it is part of names in shared memory and of sockets.
 pub(super) const MAX_RUN_NAME: usize = 20;
@@ -14,8 +14,6 @@ pub(super) const MAX_ID: usize = 64;
 /// The largest height and width, pixels.
 pub(super) const MAX_SIDE: usize = 8192;
 const _: () = assert!(MAX_SIDE <= Event::Y_MAX as usize + 1);
-/// The longest sequence, ticks.
-const MAX_SEQUENCE: i64 = 1_000;
 /// The deadline when the configuration names none, ns.
 const DEFAULT_DEADLINE_NS: u64 = 1_000_000_000;
 
@@ -107,94 +105,6 @@ pub(super) fn sensor(table: Table<'_>) -> Option<Option<Sensor>> {
     };
     table.close();
     sensor
-}
-
-/// `[fuse]`.
-pub(super) fn fuse(table: Table<'_>) -> Option<Fuse> {
-    let similarity = table.read(
-        key(
-            "similarity",
-            "\"l2\", \"l2_squared\", \"cosine\" or \"sad\"",
-            Some("\"l2\""),
-            "How alike a query row q and a map row r are: -|q-r|, -|q-r|^2, q.r/(|q||r|) or -sum|q-r|.",
-        ),
-        Similarity::L2,
-        |v| v.word(&SIMILARITIES),
-    );
-    let rule = table.read(
-        key(
-            "rule",
-            "\"sum\"",
-            Some("\"sum\""),
-            "How members' scores become one: their weighted sum.",
-        ),
-        Rule::Sum,
-        |v| v.word(&RULES),
-    );
-    let top = table.read(
-        key(
-            "top",
-            "whole number from 1 to 100",
-            Some("5"),
-            "Candidates in an answer.",
-        ),
-        5,
-        |v| v.integer(1..=100),
-    );
-    let exclusion = table.read(
-        key(
-            "exclusion",
-            "whole number from 0 to 1000000",
-            Some("5"),
-            "Candidates within so many references of the best are no rivals when confidence is measured.",
-        ),
-        5,
-        |v| v.integer(0..=1_000_000),
-    );
-    let sequence = sequence(table.section("sequence"));
-    table.close();
-    let (sequence, length) = sequence?;
-    Some(Fuse {
-        similarity: similarity?,
-        sequence,
-        length,
-        rule: rule?,
-        top: top? as usize,
-        exclusion: exclusion? as usize,
-    })
-}
-
-/// `fuse.sequence`: the method and its length. Without a method the length is 1.
-fn sequence(table: Table<'_>) -> Option<(SequenceMethod, usize)> {
-    let method = table.read(
-        key(
-            "method",
-            "\"paper\" or \"none\"",
-            Some("\"paper\""),
-            "How similarities over time become one score per place; none: this tick's alone.",
-        ),
-        SequenceMethod::Paper,
-        |v| v.word(&SEQUENCE_METHODS),
-    );
-    let length = table.read_optional(
-        key(
-            "length",
-            "whole number from 1 to 1000",
-            Some("10"),
-            "Sequence length L in ticks; only with method = \"paper\".",
-        ),
-        |v| {
-            let length = v.integer(1..=MAX_SEQUENCE)?;
-            if method == Some(SequenceMethod::None) {
-                return v
-                    .refuse("has no effect with method = \"none\"; remove it, or write method = \"paper\"");
-            }
-            Some(length as usize)
-        },
-    );
-    table.close();
-    let default = if method? == SequenceMethod::None { 1 } else { 10 };
-    Some((method?, length?.unwrap_or(default)))
 }
 
 /// `[record]`: how rows are kept.

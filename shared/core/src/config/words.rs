@@ -2,9 +2,9 @@
 //! functions as the configuration.
 
 use crate::plan::{
-    Align, Crop, Delivery, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace, PositionCompat,
-    PositionKind, Provider, RowType, Rule, SequenceMethod, Similarity, SliceMode, StackOrder, StreetPass,
-    TimeUnit,
+    Align, Crop, Delivery, Filter, FrameTicks, MaskedBy, OnBadEvent, OnOtherSize, Origin, Pace,
+    PositionCompat, PositionKind, Provider, RowType, Rule, SeqSlam, SequenceMethod, Similarity, SliceMode,
+    StackOrder, StreetPass, TimeUnit,
 };
 use crate::time::parse_duration_ns;
 
@@ -118,11 +118,23 @@ pub const SIMILARITIES: Words<'static, Similarity> = Words(&[
     ("cosine", Similarity::Cosine),
     ("sad", Similarity::Sad),
 ]);
-/// `fuse.sequence.method`.
-pub const SEQUENCE_METHODS: Words<'static, SequenceMethod> =
-    Words(&[("paper", SequenceMethod::Paper), ("none", SequenceMethod::None)]);
-/// `fuse.rule`.
-pub const RULES: Words<'static, Rule> = Words(&[("sum", Rule::Sum)]);
+/// `fuse.sequence.method`, with the parameters that an unnamed one is.
+pub const SEQUENCE_METHODS: Words<'static, SequenceMethod> = Words(&[
+    ("paper", SequenceMethod::Paper),
+    ("rows", SequenceMethod::Rows),
+    ("seqslam", SequenceMethod::SeqSlam(SeqSlam::AUTHORS)),
+    ("filter", SequenceMethod::Filter(Filter::DEFAULT)),
+    ("none", SequenceMethod::None),
+]);
+/// `fuse.rule`, with the trim that an unnamed one is.
+pub const RULES: Words<'static, Rule> = Words(&[
+    ("sum", Rule::Sum),
+    ("mean", Rule::Mean),
+    ("max", Rule::Max),
+    ("median", Rule::Median),
+    ("product", Rule::Product),
+    ("trimmed_mean", Rule::TrimmedMean { trim: Rule::TRIM }),
+]);
 /// `runtime.delivery`.
 pub const DELIVERIES: Words<'static, Delivery> =
     Words(&[("lossless", Delivery::Lossless), ("latest", Delivery::Latest)]);

@@ -3,6 +3,7 @@
 
 mod channels;
 mod frames;
+mod fuse;
 mod kind;
 mod model;
 mod noise;
@@ -12,6 +13,7 @@ mod source;
 
 pub use channels::{Channel, Topic};
 pub use frames::{FRAMES, FrameSource, FrameTicks, OnOtherSize, StackOrder};
+pub use fuse::{Filter, Fuse, Rule, SeqSlam, SequenceMethod, Similarity, Transition};
 pub use kind::*;
 pub use model::{
     Color, Inference, InputSize, Model, ModelKind, Models, Network, Preprocessing, Provider, Resize,
@@ -173,38 +175,6 @@ pub enum Delivery {
     Latest,
 }
 
-/// Similarity of a query row and a map row: higher is more alike.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Similarity {
-    /// −‖q − r‖₂, the paper's equation.
-    L2,
-    /// −‖q − r‖₂², the authors' code.
-    L2Squared,
-    /// q·r / (‖q‖ ‖r‖).
-    Cosine,
-    /// −Σ|q − r|.
-    Sad,
-}
-
-/// How a member's similarities over time become one score per place.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SequenceMethod {
-    /// The paper's: z-scored on both axes, summed along the diagonal, over a length that grows to L.
-    Paper,
-    /// The similarity of this tick alone.
-    None,
-}
-
-/// How members' scores become one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Rule {
-    /// Weighted sum, the paper's.
-    Sum,
-}
-
 /// How the numbers of rows are kept on disk.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -232,23 +202,6 @@ impl RowType {
             RowType::F16 => 2,
         }
     }
-}
-
-/// What the fuser does.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Fuse {
-    /// Similarity.
-    pub similarity: Similarity,
-    /// Sequence method.
-    pub sequence: SequenceMethod,
-    /// Sequence length L in ticks.
-    pub length: usize,
-    /// Fusion rule.
-    pub rule: Rule,
-    /// Candidates in an answer.
-    pub top: usize,
-    /// Candidates within so many references of the best do not count as rivals for the confidence.
-    pub exclusion: usize,
 }
 
 /// Everything a process of one run needs to know.

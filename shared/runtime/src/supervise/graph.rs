@@ -15,7 +15,7 @@ use evpr_core::message::{
     Candidate, Chunks, Control, ControlHeader, Descriptors, Frames, Header, Lifecycle, LifecycleHeader,
     MatchHeader, Matches, Message, ServiceHealth, ServicePhase, Stats, StatsHeader, TickKind, Ticks,
 };
-use evpr_core::plan::{Delivery, SequenceMethod, Service, ServiceKind, Topic};
+use evpr_core::plan::{Delivery, Service, ServiceKind, Topic};
 use evpr_core::stage::{OpenedTick, Outlet};
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
@@ -641,9 +641,9 @@ impl Supervisor {
 
     fn start(&mut self, index: usize) -> Result<(), RuntimeError> {
         let needed = self.needed_tick();
-        let history = match (self.plan.delivery, self.plan.fuse.sequence) {
-            (Delivery::Lossless, SequenceMethod::Paper) => self.plan.fuse.length.saturating_sub(1) as u64,
-            _ => 0,
+        let history = match self.plan.delivery {
+            Delivery::Lossless => self.plan.fuse.history_ticks().unwrap_or(u64::MAX),
+            Delivery::Latest => 0,
         };
         let first_tick = match self.processes[index].service.kind {
             ServiceKind::Ingest => {
