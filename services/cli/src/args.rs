@@ -58,6 +58,8 @@ pub(crate) enum Command {
     Member(MemberCommand),
     /// Recall of recorded traverses: subsets of members, sequence methods and rules in one run
     Evaluate(EvaluateArgs),
+    /// The members that recognise most for a given time per tick
+    Choose(ChooseArgs),
     /// The sequence matcher alone: a similarity matrix in, matched scores out
     SequenceMatch(SequenceMatchArgs),
     /// Check a configuration; prints all mistakes at once
@@ -226,6 +228,9 @@ pub(crate) struct GraphRunArgs {
     /// Name of the instance, instead of the configuration's
     #[arg(long, value_name = "NAME")]
     pub(crate) name: Option<String>,
+    /// Where to write what each process took (JSON), as `evpr choose --costs` reads it
+    #[arg(long, value_name = "FILE")]
+    pub(crate) stats: Option<PathBuf>,
     /// No progress bar and no summary
     #[arg(short, long)]
     pub(crate) quiet: bool,
@@ -586,8 +591,8 @@ pub(crate) struct EvaluateArgs {
     /// Sequence methods
     #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "paper")]
     pub(crate) method: Vec<String>,
-    /// Fusion rules
-    #[arg(long, value_name = "RULE", value_delimiter = ',', default_value = "sum")]
+    /// Fusion rules; sum when left out, but mean with the method filter
+    #[arg(long, value_name = "RULE", value_delimiter = ',')]
     pub(crate) rule: Vec<String>,
     /// Similarities
     #[arg(long, value_name = "SIMILARITY", value_delimiter = ',', default_value = "l2")]
@@ -627,6 +632,58 @@ pub(crate) struct MethodArgs {
     /// Method filter: probability that a tick starts anywhere anew [default: 0.02]
     #[arg(long, value_name = "P")]
     pub(crate) restart: Option<f64>,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct ChooseArgs {
+    #[command(flatten)]
+    pub(crate) pairs: PairArgs,
+    /// Time per tick that the members may take, one after the other, such as 80ms
+    #[arg(short, long, value_name = "DURATION", value_parser = duration)]
+    pub(crate) budget: u64,
+    /// What stages take: a TOML file, or the statistics of a run (JSON, `evpr run --stats`) or of the demo
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) costs: PathBuf,
+    /// Sequence length, ticks
+    #[arg(short, long, value_name = "L", default_value_t = 10, value_parser = sequence_length)]
+    pub(crate) length: usize,
+    /// Sequence method
+    #[arg(long, value_name = "METHOD", default_value = "paper")]
+    pub(crate) method: String,
+    /// Fusion rule; sum when left out, but mean with the method filter
+    #[arg(long, value_name = "RULE")]
+    pub(crate) rule: Option<String>,
+    /// Similarity
+    #[arg(long, value_name = "SIMILARITY", default_value = "l2")]
+    pub(crate) similarity: String,
+    /// Up to so many members all sets are tried, as a check of the search
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = exact)]
+    pub(crate) exact: usize,
+    /// Memory for scores, MiB
+    #[arg(long, value_name = "MIB", default_value_t = 2048, value_parser = clap::value_parser!(u64).range(16..1 << 24))]
+    pub(crate) memory: u64,
+    /// The configuration that the traverses were recorded with
+    #[arg(long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
+    /// Where to write it with the members that are chosen
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) out: Option<PathBuf>,
+    /// No progress
+    #[arg(long)]
+    pub(crate) quiet: bool,
+    /// As JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+fn sequence_length(text: &str) -> Result<usize, String> {
+    let length = text.parse().ok().filter(|l| (1..=1000).contains(l));
+    length.ok_or_else(|| "a sequence has 1 to 1000 ticks".to_owned())
+}
+
+fn exact(text: &str) -> Result<usize, String> {
+    let members = text.parse().ok().filter(|m| *m <= 16);
+    members.ok_or_else(|| "all sets can be tried of at most 16 members; give 0 to 16".to_owned())
 }
 
 #[derive(Debug, Subcommand)]

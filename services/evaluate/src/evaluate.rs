@@ -12,14 +12,14 @@ use std::sync::Mutex;
 
 /// Who wants to know how far it is. Work is counted in queries × configurations.
 pub trait Progress: Sync {
-    /// What there is to do, without what an earlier run did.
-    fn total(&self, work: u64);
+    /// So much more is to be done.
+    fn found(&self, work: u64);
     /// So much more is done.
     fn advanced(&self, work: u64);
 }
 
 impl Progress for () {
-    fn total(&self, _: u64) {}
+    fn found(&self, _: u64) {}
     fn advanced(&self, _: u64) {}
 }
 
@@ -38,10 +38,13 @@ pub fn evaluate(
     let mut open: Vec<(&Pair, Vec<Configuration>)> = Vec::new();
     for pair in pairs {
         let mut configurations = spec.configurations(&pair.members)?;
+        for c in &configurations {
+            pair.check_length(c.method, c.length)?;
+        }
         configurations.retain(|c| !results.has(&c.key(&pair.name)));
         open.push((pair, configurations));
     }
-    progress.total(open.iter().map(|(p, c)| (p.queries() * c.len()) as u64).sum());
+    progress.found(open.iter().map(|(p, c)| (p.queries() * c.len()) as u64).sum());
     let side_by_side = rayon::current_num_threads().clamp(1, open.len().max(1));
     // Each pair gets its share, so that together they stay below the limit.
     let each = Spec {

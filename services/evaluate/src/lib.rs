@@ -6,6 +6,7 @@
 //! score once per method and length. The answers come from the functions of `evpr-fuse` that the running fuser calls.
 //! What comes out is one [`Row`] per configuration.
 
+pub mod choose;
 mod error;
 mod evaluate;
 mod fusion;

@@ -1,6 +1,7 @@
 //! A reference map, a query traverse, and which places are right.
 
 use crate::error::EvaluateError;
+use evpr_core::plan::SequenceMethod;
 use evpr_store::{GroundTruth, Manifest, MemberRows, Orientation, Traverse};
 use rayon::prelude::*;
 use serde::Deserialize;
@@ -289,6 +290,20 @@ impl Pair {
     /// Which places are right.
     pub fn truth(&self) -> &GroundTruth {
         &self.truth
+    }
+
+    /// Checks that a sequence method can answer at all.
+    pub(crate) fn check_length(&self, method: SequenceMethod, length: usize) -> Result<(), EvaluateError> {
+        if matches!(method, SequenceMethod::SeqSlam(_)) && self.references() < length {
+            return Err(EvaluateError::pair(
+                &self.name,
+                format!(
+                    "its map has {0} ticks, fewer than the {length} of the sequence of seqslam; give a length of {0} or less",
+                    self.references()
+                ),
+            ));
+        }
+        Ok(())
     }
 
     /// Ticks of the query traverse.

@@ -31,7 +31,7 @@ pub struct Spec {
     pub methods: Vec<SequenceMethod>,
     /// Sequence lengths, ticks.
     pub lengths: Vec<usize>,
-    /// Fusion rules.
+    /// Fusion rules; none: the one that each method has by default.
     pub rules: Vec<Rule>,
     /// For the confidence, candidates within so many references of the best are no rivals.
     pub exclusion: usize,
@@ -90,12 +90,8 @@ impl Spec {
     /// [`EvaluateError::Asked`] with what makes no sense.
     pub fn check(&self) -> Result<(), EvaluateError> {
         let asked = |text: &str| Err(EvaluateError::Asked(text.to_owned()));
-        if self.subsets.is_empty()
-            || self.similarities.is_empty()
-            || self.methods.is_empty()
-            || self.rules.is_empty()
-        {
-            return asked("nothing to evaluate: give at least one subset, similarity, method and rule");
+        if self.subsets.is_empty() || self.similarities.is_empty() || self.methods.is_empty() {
+            return asked("nothing to evaluate: give at least one subset, similarity and method");
         }
         if self.lengths.is_empty() || self.lengths.iter().any(|l| *l == 0 || *l > MAX_LENGTH) {
             return asked("a sequence has 1 to 1000 ticks; give such lengths");
@@ -119,13 +115,13 @@ impl Spec {
         let mut all = Vec::new();
         for similarity in &self.similarities {
             for (method, length) in self.sequences() {
-                for rule in &self.rules {
+                for rule in self.rules_of(method) {
                     all.extend(subsets.iter().map(|subset| {
                         Configuration {
                             similarity: *similarity,
                             method,
                             length,
-                            rule: *rule,
+                            rule,
                             weights: self
                                 .weights
                                 .as_ref()
@@ -143,6 +139,23 @@ impl Spec {
             }
         }
         Ok(all)
+    }
+
+    fn rules_of(&self, method: SequenceMethod) -> Vec<Rule> {
+        if self.rules.is_empty() {
+            vec![Rule::default_with(Some(method))]
+        } else {
+            self.rules.clone()
+        }
+    }
+
+    /// The weight of each member of a pair.
+    pub(crate) fn weights_of(&self, pair: &crate::Pair) -> Vec<f64> {
+        let weight = |name: &String| match &self.weights {
+            None => 1.0,
+            Some((_, weights)) => weights.get(name).copied().unwrap_or(1.0),
+        };
+        pair.members.iter().map(weight).collect()
     }
 
     /// Methods with their lengths; 1 for those that have none.
@@ -274,7 +287,7 @@ mod tests {
                 ..spec()
             },
             Spec {
-                rules: vec![],
+                methods: vec![],
                 ..spec()
             },
         ] {

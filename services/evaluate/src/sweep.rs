@@ -21,7 +21,7 @@ use rayon::prelude::*;
 /// Most similarities in a block.
 const BLOCK_VALUES: usize = 4 << 20;
 /// Most ticks in a block.
-const BLOCK_TICKS: usize = 64;
+const BLOCK_TICKS: usize = 16;
 
 /// Ticks per block.
 fn block_ticks(members: usize, references: usize) -> usize {
@@ -49,6 +49,13 @@ pub fn bytes_needed(pair: &Pair, sequences: &[(usize, usize)]) -> u64 {
         .iter()
         .map(|(length, count)| sequence_bytes(pair, *length, *count));
     block_bytes(pair.members.len(), pair.references()) + each.sum::<u64>()
+}
+
+/// The most configurations of one sequence that fit the memory; 0 when none does.
+pub(crate) fn most_configurations(pair: &Pair, length: usize, allowed: u64) -> usize {
+    let fixed = bytes_needed(pair, &[(length, 0)]);
+    let each = sequence_bytes(pair, length, 1) - sequence_bytes(pair, length, 0);
+    (allowed.saturating_sub(fixed) / each.max(1)) as usize
 }
 
 /// One method and length, with everything that is fused from its scores.
@@ -124,6 +131,70 @@ fn passes<'a>(
     Ok(passes.into_iter().map(|(_, pass)| pass).collect())
 }
 
+/// The scores of all queries with one similarity, method and length, to be fused again and again.
+pub(crate) struct Kept {
+    /// Per member, query after query.
+    scores: Vec<Vec<f64>>,
+    matched: Vec<Vec<Matched>>,
+}
+
+impl Kept {
+    /// Bytes of the scores of a pair.
+    pub(crate) fn bytes(pair: &Pair) -> u64 {
+        let values = pair
+            .members
+            .len()
+            .saturating_mul(pair.queries())
+            .saturating_mul(pair.references());
+        values.saturating_mul(8) as u64
+    }
+
+    /// Computes them.
+    pub(crate) fn new(pair: &Pair, kind: Similarity, method: SequenceMethod, length: usize) -> Self {
+        let member = |m: usize| {
+            let mut block = Block::new(m, pair, 1);
+            let mut lane = Lane::new(method, length, pair.rows[m].reference.present());
+            let mut scores = Vec::with_capacity(pair.queries() * pair.references());
+            let mut matched = Vec::with_capacity(pair.queries());
+            for query in 0..pair.queries() {
+                block.compare(pair, kind, query, 1);
+                block.score(pair, &mut lane, query, 1);
+                scores.extend_from_slice(&block.scores);
+                matched.push(block.matched[0]);
+            }
+            (scores, matched)
+        };
+        let (scores, matched) = (0..pair.members.len()).into_par_iter().map(member).unzip();
+        Self { scores, matched }
+    }
+
+    /// What comes of fusing them; one entry per configuration.
+    pub(crate) fn fuse(
+        &self,
+        pair: &Pair,
+        spec: &Spec,
+        configurations: &[&Configuration],
+        advanced: &(dyn Fn(u64) + Sync),
+    ) -> Vec<Vec<Outcome>> {
+        let weights = spec.weights_of(pair);
+        let references = pair.references();
+        let one = |c: &&Configuration| {
+            let mut fusion = Fusion::new(pair, c, spec.exclusion, |m| weights[m]);
+            for query in 0..pair.queries() {
+                let scored = |m: usize| Scored {
+                    matched: self.matched[m][query],
+                    scores: &self.scores[m][query * references..(query + 1) * references],
+                    valid: pair.rows[m].reference.present(),
+                };
+                fusion.advance(scored, pair.truth.matches(query));
+            }
+            advanced(pair.queries() as u64);
+            fusion.outcomes
+        };
+        configurations.par_iter().map(one).collect()
+    }
+}
+
 /// One member's block.
 struct Block {
     member: usize,
@@ -148,23 +219,8 @@ fn run<'a>(
     }
     let wanted: Vec<usize> = wanted.iter().filter(|m| *m < pair.members.len()).collect();
     let ticks = block_ticks(wanted.len(), references).min(pair.queries().max(1));
-    let mut blocks: Vec<Block> = wanted
-        .iter()
-        .map(|member| Block {
-            member: *member,
-            similarities: vec![0.0; ticks * references],
-            scores: vec![0.0; ticks * references],
-            matched: vec![Matched::Nothing; ticks],
-        })
-        .collect();
-    let weights: Vec<f64> = pair
-        .members
-        .iter()
-        .map(|name| match &spec.weights {
-            None => 1.0,
-            Some((_, weights)) => weights.get(name).copied().unwrap_or(1.0),
-        })
-        .collect();
+    let mut blocks: Vec<Block> = wanted.iter().map(|m| Block::new(*m, pair, ticks)).collect();
+    let weights = spec.weights_of(pair);
     let mut states: Vec<(Vec<Lane>, Vec<Fusion>)> = sequences
         .iter()
         .map(|s| {
@@ -208,6 +264,15 @@ fn run<'a>(
 }
 
 impl Block {
+    fn new(member: usize, pair: &Pair, ticks: usize) -> Self {
+        Self {
+            member,
+            similarities: vec![0.0; ticks * pair.references()],
+            scores: vec![0.0; ticks * pair.references()],
+            matched: vec![Matched::Nothing; ticks],
+        }
+    }
+
     /// Similarities of the ticks from `start` on.
     fn compare(&mut self, pair: &Pair, kind: Similarity, start: usize, count: usize) {
         let member = &pair.rows[self.member];

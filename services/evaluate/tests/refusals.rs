@@ -4,8 +4,9 @@
 mod support;
 
 use evpr_core::Plan;
+use evpr_core::config::SEQUENCE_METHODS;
 use evpr_core::plan::Sensor;
-use evpr_evaluate::{Pair, PairSpec, PairsFile, Truth};
+use evpr_evaluate::{Pair, PairSpec, PairsFile, Results, Spec, Truth, evaluate};
 use std::path::Path;
 use support::*;
 
@@ -212,4 +213,21 @@ fn files_of_pairs() {
         let error = read(text).unwrap_err();
         assert!(error.contains(words) && error.lines().count() == 1, "{error}");
     }
+}
+
+#[test]
+fn a_map_that_is_too_short_for_a_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let pair = [open(&pair_in(folder.path()))];
+    let spec = Spec {
+        methods: vec![SEQUENCE_METHODS.parse("seqslam").unwrap()],
+        lengths: vec![REFERENCES + 1],
+        ..spec()
+    };
+    let mut results = Results::open(&folder.path().join("out"), &pair).unwrap();
+    let error = evaluate(&pair, &spec, &mut results, &()).unwrap_err().to_string();
+    assert!(
+        error.contains("its map has 23 ticks, fewer than the 24 of"),
+        "{error}"
+    );
 }

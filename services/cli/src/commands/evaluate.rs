@@ -149,14 +149,14 @@ impl Bar {
                 .unwrap_or_else(|_| ProgressStyle::default_bar())
                 .progress_chars("=> ");
         Self {
-            bar: ProgressBar::new(1).with_style(style),
+            bar: ProgressBar::new(0).with_style(style),
         }
     }
 }
 
 impl Progress for Bar {
-    fn total(&self, work: u64) {
-        self.bar.set_length(work.max(1));
+    fn found(&self, work: u64) {
+        self.bar.inc_length(work);
     }
 
     fn advanced(&self, work: u64) {

@@ -1,5 +1,6 @@
 //! One file per command.
 
+mod choose;
 mod dataset;
 mod demo;
 mod doctor;
@@ -33,6 +34,7 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::Models(command) => models::models(&command),
         Command::Member(command) => member::member(command),
         Command::Evaluate(args) => evaluate::evaluate(&args),
+        Command::Choose(args) => choose::choose(&args),
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),
         Command::Graph(args) => graph::graph(&args),

@@ -46,7 +46,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         Some(_) => Some(MatchWriter::open(args.out.as_deref()).map_err(Failure::new)?),
         None => None,
     };
-    supervise(plan, writer, args.graph.quiet, "matching")
+    supervise(plan, writer, &args.graph, "matching")
 }
 
 /// The command line's part of the plan.
@@ -88,9 +88,10 @@ impl Hooks for CliHooks {
 pub(crate) fn supervise(
     plan: Plan,
     writer: Option<MatchWriter>,
-    quiet: bool,
+    args: &GraphRunArgs,
     what: &str,
 ) -> Result<ExitCode, Failure> {
+    let quiet = args.quiet;
     let mut hooks = CliHooks {
         plan: plan.clone(),
         writer,
@@ -103,6 +104,9 @@ pub(crate) fn supervise(
     let failed_at_start = summary.outcome == Outcome::Failed && summary.answers.max(recorded(&summary)) == 0;
     if !quiet && !failed_at_start {
         summarise(&summary);
+    }
+    if let Some(path) = &args.stats {
+        write_stats(&summary, path)?;
     }
     conclude(&plan, summary)
 }
@@ -183,6 +187,34 @@ fn service_command(executable: &Path, run_folder: &Path, service: &Service, spaw
         .stdout(Stdio::null())
         .process_group(0);
     command
+}
+
+/// Writes what each process took.
+fn write_stats(summary: &RunSummary, path: &Path) -> Result<(), Failure> {
+    #[derive(serde::Serialize)]
+    struct Process {
+        process: String,
+        messages: u64,
+        mean_us: f64,
+        p50_us: f64,
+        p99_us: f64,
+        restarts: u64,
+    }
+    let us = |ns: u64| ns as f64 / 1e3;
+    let process = |s: &evpr_runtime::ServiceReport| Process {
+        process: s.name.clone(),
+        messages: s.stats.received,
+        mean_us: us(s.stats.processing.mean_ns()),
+        p50_us: us(s.stats.processing.quantile_ns(0.5)),
+        p99_us: us(s.stats.processing.quantile_ns(0.99)),
+        restarts: s.restarts,
+    };
+    let processes: Vec<Process> = summary.services.iter().map(process).collect();
+    let ticks = summary.answers.max(recorded(summary));
+    let stats = serde_json::json!({ "ticks": ticks, "processes": processes });
+    let text = serde_json::to_string_pretty(&stats)? + "\n";
+    std::fs::write(path, text)
+        .map_err(|e| Failure::new(format!("{}: cannot be written: {e}", path.display())))
 }
 
 fn summarise(summary: &RunSummary) {
