@@ -19,8 +19,14 @@ const QUERY_TICKS: u64 = 299;
 /// The method that the known figures are of.
 const METHOD: &str = "event_count_no_polarity";
 
-/// A configuration for the corridor.
+/// A configuration for the corridor, with the paper's matching.
 fn config(windows: &str, methods: &[&str], members: &str, length: usize) -> String {
+    let sequence = format!("sequence = {{ method = \"paper\", length = {length} }}");
+    config_with(windows, methods, members, &sequence)
+}
+
+/// A configuration for the corridor; `fuse` is what stands in that section.
+fn config_with(windows: &str, methods: &[&str], members: &str, fuse: &str) -> String {
     let methods: String = methods
         .iter()
         .map(|id| format!("[[reconstruction]]\nid = \"{id}\"\n"))
@@ -29,7 +35,7 @@ fn config(windows: &str, methods: &[&str], members: &str, length: usize) -> Stri
         "[slicing]\ntick = \"500ms\"\nwindows = {windows}\n{methods}\
          [[extractor]]\nid = \"patch_norm\"\n[[extractor]]\nid = \"raw_pixels\"\n\
          [ensemble]\nmembers = {members}\n\
-         [fuse]\nsequence = {{ method = \"paper\", length = {length} }}\n"
+         [fuse]\n{fuse}\n"
     )
 }
 
@@ -81,36 +87,45 @@ fn the_route_is_recognised_as_often_as_by_the_reference_implementation() {
     let map = Traverse::open(&bench.path("map")).unwrap();
     // It knows the last tick too, which is not whole.
     let truth = GroundTruth::from_pairs(&truth, QUERY_TICKS as usize + 1, map.len()).unwrap();
-    for (extractor, length, known) in [
-        ("patch_norm", 1, 0.903),
-        ("patch_norm", 10, 0.490),
-        ("patch_norm", 20, 0.663),
-        ("raw_pixels", 1, 0.870),
-        ("raw_pixels", 10, 0.520),
-        ("raw_pixels", 20, 0.620),
+    let paper = |length: usize| format!("{{ method = \"paper\", length = {length} }}");
+    let rows = |length: usize| format!("{{ method = \"rows\", length = {length} }}");
+    let filter = "{ method = \"filter\" }".to_owned();
+    for (extractor, sequence, known) in [
+        ("patch_norm", paper(1), 0.903),
+        ("patch_norm", paper(10), 0.490),
+        ("patch_norm", paper(20), 0.663),
+        ("patch_norm", rows(5), 0.937),
+        ("patch_norm", rows(10), 0.873),
+        ("patch_norm", rows(20), 0.760),
+        ("patch_norm", rows(30), 0.677),
+        ("patch_norm", filter.clone(), 0.917),
+        ("raw_pixels", paper(1), 0.870),
+        ("raw_pixels", paper(10), 0.520),
+        ("raw_pixels", paper(20), 0.620),
+        ("raw_pixels", rows(5), 0.897),
+        ("raw_pixels", rows(30), 0.687),
+        ("raw_pixels", filter, 0.890),
     ] {
         let member = format!("{METHOD}@500ms/{extractor}");
+        let fuse = format!("sequence = {sequence}");
         bench.file(
             "one.toml",
-            &config("[\"500ms\"]", &[METHOD], &format!("[\"{member}\"]"), length),
+            &config_with("[\"500ms\"]", &[METHOD], &format!("[\"{member}\"]"), &fuse),
         );
-        let out = format!("{extractor}_{length}.jsonl");
-        succeeds(
-            &bench,
-            &[
-                "run",
-                "-q",
-                "-c",
-                "one.toml",
-                "-i",
-                text(&query),
-                "-m",
-                "map",
-                "-o",
-                &out,
-            ],
-        );
-        let answers = read_answers(&bench.path(&out));
+        let run = [
+            "run",
+            "-q",
+            "-c",
+            "one.toml",
+            "-i",
+            text(&query),
+            "-m",
+            "map",
+            "-o",
+            "answers.jsonl",
+        ];
+        succeeds(&bench, &run);
+        let answers = read_answers(&bench.path("answers.jsonl"));
         assert_ticks(&answers, QUERY_TICKS);
         assert!(
             answers
@@ -118,10 +133,10 @@ fn the_route_is_recognised_as_often_as_by_the_reference_implementation() {
                 .all(|a| a["members"] == serde_json::json!([member]))
         );
         let recall = truth.recall(&references(&answers)).right as f64 / QUERY_TICKS as f64;
-        println!("{extractor}, L = {length}: R@1 {recall:.4}, known {known}");
+        println!("{extractor}, {sequence}: R@1 {recall:.4}, known {known}");
         assert!(
             (recall - known).abs() <= 0.01,
-            "{extractor}, L = {length}: R@1 {recall}, known {known}"
+            "{extractor}, {sequence}: R@1 {recall}, known {known}"
         );
     }
 }
@@ -190,20 +205,43 @@ fn plan(bench: &Bench, map: &Path) -> Plan {
 #[test]
 fn recorded_rows_matched_offline_give_the_answers_of_the_running_graph() {
     const TEST: &str = "recorded_rows_matched_offline_give_the_answers_of_the_running_graph";
-    let all = config("[\"100ms\", \"500ms\"]", &[METHOD, "time_surface"], "\"all\"", 10)
-        + &format!(
-            "[ensemble.weights]\n\"{METHOD}@500ms/patch_norm\" = 2.5\n\"time_surface@100ms/raw_pixels\" = 0.25\n"
-        );
-    let Some((bench, query)) = mapped(TEST, &all) else {
+    let weights = format!(
+        "[ensemble.weights]\n\"{METHOD}@500ms/patch_norm\" = 2.5\n\"time_surface@100ms/raw_pixels\" = 0.25\n"
+    );
+    let all = |fuse: &str| {
+        config_with(
+            "[\"100ms\", \"500ms\"]",
+            &[METHOD, "time_surface"],
+            "\"all\"",
+            fuse,
+        ) + &weights
+    };
+    let fuses = [
+        "sequence = { method = \"paper\", length = 10 }",
+        "sequence = { method = \"filter\" }",
+        "sequence = { method = \"seqslam\", length = 8 }\nrule = \"trimmed_mean\"",
+        "sequence = { method = \"rows\", length = 5 }\nrule = \"product\"",
+        "sequence = { method = \"none\" }\nrule = \"median\"",
+    ];
+    let Some((bench, query)) = mapped(TEST, &all(fuses[0])) else {
         return;
     };
+    for fuse in fuses {
+        bench.file("all.toml", &all(fuse));
+        recorded_rows_give_the_answers(&bench, &query);
+        fs::remove_dir_all(bench.path("recorded")).unwrap();
+    }
+}
+
+/// Runs `all.toml` with the map, and compares its answers with those of the rows it recorded.
+fn recorded_rows_give_the_answers(bench: &Bench, query: &Path) {
     let run = [
         "run",
         "-q",
         "-c",
         "all.toml",
         "-i",
-        text(&query),
+        text(query),
         "-m",
         "map",
         "-r",
@@ -211,10 +249,10 @@ fn recorded_rows_matched_offline_give_the_answers_of_the_running_graph() {
         "-o",
         "answers.jsonl",
     ];
-    succeeds(&bench, &run);
+    succeeds(bench, &run);
     let answers = read_answers(&bench.path("answers.jsonl"));
     assert_ticks(&answers, QUERY_TICKS);
-    let plan = plan(&bench, &bench.path("map"));
+    let plan = plan(bench, &bench.path("map"));
     let query = offline::Query::open(&plan, &bench.path("recorded")).unwrap();
     let everyone = |_| (0..plan.members.len()).collect();
     let expected = offline::answers(&plan, Map::open(&plan).unwrap(), &query, everyone).unwrap();
@@ -244,7 +282,7 @@ fn recorded_rows_matched_offline_give_the_answers_of_the_running_graph() {
             assert!(close(&place["score"], candidate.score));
         }
     }
-    assert!(answers.iter().filter(|a| a["reference"].is_u64()).count() as u64 >= QUERY_TICKS - 1);
+    assert!(answers.iter().filter(|a| a["reference"].is_u64()).count() as u64 >= QUERY_TICKS - 7);
 }
 
 /// Runs a script of the oracle's, in the bench's folder, and gives what it prints. None, with a note that names the
