@@ -600,6 +600,12 @@ pub(crate) struct EvaluateArgs {
     /// For the confidence: candidates within so many references of the best are no rivals
     #[arg(long, value_name = "N", default_value_t = 5)]
     pub(crate) exclusion: usize,
+    /// Also find the least confidence at which this share of the answers is right (thresholds.csv)
+    #[arg(long, value_name = "P", value_parser = precision)]
+    pub(crate) wanted_precision: Option<f64>,
+    /// Also find how alike members are in what they see and get wrong, with the first method and length (members.json)
+    #[arg(long)]
+    pub(crate) likeness: bool,
     /// Memory for scores and sequences, MiB, besides the mapped rows
     #[arg(long, value_name = "MIB", default_value_t = 2048, value_parser = clap::value_parser!(u64).range(16..1 << 24))]
     pub(crate) memory: u64,
@@ -674,6 +680,11 @@ pub(crate) struct ChooseArgs {
     /// As JSON
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+fn precision(text: &str) -> Result<f64, String> {
+    let precision = text.parse::<f64>().ok().filter(|p| *p > 0.0 && *p <= 1.0);
+    precision.ok_or_else(|| "not a precision; give a number above 0, up to 1".to_owned())
 }
 
 fn sequence_length(text: &str) -> Result<usize, String> {

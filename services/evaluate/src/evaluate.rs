@@ -91,7 +91,7 @@ fn one(
             &these,
             &|work| progress.advanced(work),
             &mut |c, outcomes| {
-                let row = Row::new(pair, c, measure(pair, &outcomes));
+                let row = Row::new(pair, c, measure(pair, &outcomes, c.length));
                 let mut results = results.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                 results.add(row)
             },

@@ -7,6 +7,7 @@
 //! What comes out is one [`Row`] per configuration.
 
 pub mod choose;
+mod confidence;
 mod error;
 mod evaluate;
 mod fusion;
@@ -15,9 +16,12 @@ mod outcome;
 mod pair;
 mod results;
 mod spec;
+pub mod statistics;
 mod subsets;
 mod sweep;
+mod tables;
 
+pub use confidence::{Bin, Trust};
 pub use error::EvaluateError;
 pub use evaluate::{Progress, evaluate};
 pub use measure::{FRAMES, KS, Measures, PrecisionRecall, Share, TOLERANCES_M, measure};
@@ -27,3 +31,4 @@ pub use results::{Results, Row};
 pub use spec::{Configuration, Spec, SubsetChoice};
 pub use subsets::{MemberName, Subset, SubsetKind, subsets};
 pub use sweep::bytes_needed;
+pub use tables::{Learnt, thresholds};

@@ -1,7 +1,9 @@
 //! The measures of one configuration, from what came of its queries.
 
+use crate::confidence::{Bin, bins};
 use crate::outcome::Outcome;
 use crate::pair::Pair;
+use crate::statistics::{Interval, recall_interval};
 use serde::{Deserialize, Serialize};
 
 /// The K of Recall@K.
@@ -55,6 +57,10 @@ pub struct Measures {
     pub answered: usize,
     /// Queries whose answer is right.
     pub right: usize,
+    /// The middle 95 % of Recall@1 by the bootstrap over blocks of queries.
+    pub interval_95: Interval,
+    /// Answers by their confidence.
+    pub confidence: Vec<Bin>,
     /// Recall@K for each of [`KS`].
     pub recall_at: [Share; 4],
     /// Recall@1 if all ties were broken in favour of the right place.
@@ -84,8 +90,12 @@ pub struct Measures {
     pub by_frames: Vec<Share>,
 }
 
-/// Measures what came of the queries of a pair, one outcome each.
-pub fn measure(pair: &Pair, outcomes: &[Outcome]) -> Measures {
+/// Measures what came of the queries of a pair, one outcome each. `length` is that of the sequences, ticks.
+pub fn measure(pair: &Pair, outcomes: &[Outcome], length: usize) -> Measures {
+    let is_right: Vec<bool> = outcomes.iter().map(Outcome::is_right).collect();
+    let is_matchable: Vec<bool> = (0..outcomes.len())
+        .map(|q| !pair.truth.matches(q).is_empty())
+        .collect();
     let (queries, matchable) = (pair.queries(), pair.truth.with_match());
     let count = |is: &dyn Fn(&Outcome) -> bool| outcomes.iter().filter(|o| is(o)).count();
     let share = |is: &dyn Fn(&Outcome) -> bool| Share::new(count(is), queries, matchable);
@@ -103,6 +113,8 @@ pub fn measure(pair: &Pair, outcomes: &[Outcome]) -> Measures {
         matchable,
         answered: count(&|o| o.answer.is_some()),
         right: count(&Outcome::is_right),
+        interval_95: recall_interval(&is_right, &is_matchable, length),
+        confidence: bins(outcomes),
         recall_at: KS.map(|k| share(&|o| o.is_within(k))),
         optimistic_at_1: share(&|o| o.is_within_at_best(1)),
         pessimistic_at_1: share(&|o| o.is_within_at_worst(1)),

@@ -9,8 +9,7 @@
 use crate::error::EvaluateError;
 use crate::measure::{FRAMES, KS, Measures, Share, TOLERANCES_M};
 use crate::pair::Pair;
-use crate::spec::{Configuration, word};
-use evpr_core::config::{RULES, SEQUENCE_METHODS, SIMILARITIES};
+use crate::spec::Configuration;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -56,13 +55,10 @@ impl Row {
         Self {
             key: c.key(pair.name()),
             pair: pair.name().to_owned(),
-            similarity: word(&SIMILARITIES.all(), |w| SIMILARITIES.parse(w) == Ok(c.similarity)).to_owned(),
-            method: word(&SEQUENCE_METHODS.all(), |w| {
-                SEQUENCE_METHODS.parse(w) == Ok(c.method)
-            })
-            .to_owned(),
+            similarity: c.similarity_word().to_owned(),
+            method: c.method.name().to_owned(),
             length: c.length,
-            rule: word(&RULES.all(), |w| RULES.parse(w) == Ok(c.rule)).to_owned(),
+            rule: c.rule.name().to_owned(),
             weights: c.weights.clone(),
             kind: c.subset.kind,
             subset: c.subset.name.clone(),
@@ -289,7 +285,8 @@ pub(crate) fn replace(path: &Path, text: &str) -> Result<(), EvaluateError> {
 /// All rows as CSV. Empty fields are not known.
 fn csv(rows: &[Row]) -> String {
     let mut out =
-        "pair,similarity,method,length,rule,weights,kind,subset,members,queries,matchable,answered,right"
+        "pair,similarity,method,length,rule,weights,kind,subset,members,queries,matchable,answered,right,\
+         recall_at_1_of_all_low,recall_at_1_of_all_high,recall_at_1_of_matchable_low,recall_at_1_of_matchable_high"
             .to_owned();
     let both = |out: &mut String, name: &str| {
         let _ = write!(out, ",{name}_of_all,{name}_of_matchable");
@@ -320,7 +317,7 @@ fn csv_line(out: &mut String, row: &Row) {
     // Writing into a string cannot fail.
     let _ = write!(
         out,
-        "{},{},{},{},{},{},{},{},{},{},{},{},{}",
+        "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}",
         quoted(&row.pair),
         row.similarity,
         row.method,
@@ -333,7 +330,11 @@ fn csv_line(out: &mut String, row: &Row) {
         m.queries,
         m.matchable,
         m.answered,
-        m.right
+        m.right,
+        m.interval_95.of_all_low,
+        m.interval_95.of_all_high,
+        m.interval_95.of_matchable_low,
+        m.interval_95.of_matchable_high
     );
     let both = |out: &mut String, share: Option<&Share>| {
         let _ = match share {
@@ -361,7 +362,7 @@ fn csv_line(out: &mut String, row: &Row) {
 }
 
 /// A field of a CSV file.
-fn quoted(text: &str) -> String {
+pub(crate) fn quoted(text: &str) -> String {
     if text.contains([',', '"', '\n', '\r']) {
         format!("\"{}\"", text.replace('"', "\"\""))
     } else {

@@ -2,7 +2,7 @@
 
 use crate::error::EvaluateError;
 use crate::subsets::{Subset, SubsetKind, subsets};
-use evpr_core::config::{RULES, SEQUENCE_METHODS, SIMILARITIES};
+use evpr_core::config::SIMILARITIES;
 use evpr_core::plan::{Rule, SequenceMethod, Similarity};
 use std::collections::BTreeMap;
 
@@ -59,28 +59,24 @@ pub struct Configuration {
 }
 
 impl Configuration {
+    /// Its similarity as a word of the configuration.
+    pub fn similarity_word(&self) -> &'static str {
+        let words = SIMILARITIES.all();
+        let found = words
+            .into_iter()
+            .find(|w| SIMILARITIES.parse(w) == Ok(self.similarity));
+        found.unwrap_or("unknown")
+    }
+
     /// What names it among the results of a pair.
     pub fn key(&self, pair: &str) -> String {
-        let (similarity, method, rule) = (
-            word(&SIMILARITIES.all(), |w| {
-                SIMILARITIES.parse(w) == Ok(self.similarity)
-            }),
-            word(&SEQUENCE_METHODS.all(), |w| {
-                SEQUENCE_METHODS.parse(w) == Ok(self.method)
-            }),
-            word(&RULES.all(), |w| RULES.parse(w) == Ok(self.rule)),
-        );
+        let (similarity, method, rule) = (self.similarity_word(), self.method.name(), self.rule.name());
         let (length, kind, subset) = (self.length, self.subset.kind.name(), &self.subset.name);
         format!(
             "{pair}|{similarity}|{method}|{length}|{rule}|{}|{kind}|{subset}",
             self.weights
         )
     }
-}
-
-/// The word that stands for something.
-pub(crate) fn word(words: &[&'static str], is_it: impl Fn(&str) -> bool) -> &'static str {
-    words.iter().find(|w| is_it(w)).copied().unwrap_or("unknown")
 }
 
 impl Spec {

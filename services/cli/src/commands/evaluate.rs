@@ -4,6 +4,7 @@ use crate::args::EvaluateArgs;
 use crate::failure::Failure;
 use crate::output::say;
 use evpr_core::config::{RULES, SEQUENCE_METHODS, SIMILARITIES};
+use evpr_evaluate::statistics::{comparisons, members};
 use evpr_evaluate::{
     Pair, PairSpec, PairsFile, Progress, Results, Row, Spec, SubsetChoice, SubsetKind, Truth, evaluate as run,
 };
@@ -25,6 +26,14 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
     let evaluated = run(&pairs, &spec, &mut results, &progress);
     progress.bar.finish_and_clear();
     evaluated?;
+    results.write_statistics(&comparisons(results.rows()))?;
+    if let Some(wanted) = args.wanted_precision {
+        results.write_thresholds(wanted)?;
+    }
+    if args.likeness {
+        let alike: Result<Vec<_>, _> = pairs.iter().map(|pair| members(pair, &spec)).collect();
+        results.write_members(&alike?)?;
+    }
     if args.json {
         say!("{}", serde_json::to_string_pretty(results.rows())?);
     } else if !args.quiet {
