@@ -22,6 +22,7 @@
 //! P = 1/n. A place for which nobody has one is 0, and never the answer.
 
 use crate::ensemble::Part;
+use crate::order::{Memory, Statistic, by_place};
 use evpr_core::plan::Rule;
 use rayon::prelude::*;
 
@@ -29,8 +30,6 @@ use rayon::prelude::*;
 const BLOCK: usize = 256;
 /// From so many scores on, work is shared out among threads.
 const PARALLEL_SCORES: usize = 1 << 14;
-/// Shares of the weight that differ by less than this are equal: they are sums of rounded numbers.
-const EQUAL: f64 = 1e-12;
 
 /// Writes E of every place. [`Rule::Sum`] has its own way in [`Ensemble`](crate::ensemble::Ensemble).
 pub(crate) fn combine(rule: Rule, parts: &[Part<'_>], out: &mut [f64]) {
@@ -44,16 +43,16 @@ pub(crate) fn combine(rule: Rule, parts: &[Part<'_>], out: &mut [f64]) {
         _ => Vec::new(),
     };
     let blocks = out.par_chunks_mut(BLOCK).enumerate().with_min_len(least);
-    blocks.for_each_init(Vec::new, |memory, (index, out)| {
+    blocks.for_each_init(Memory::default, |memory, (index, out)| {
         let start = index * BLOCK;
         match rule {
             Rule::Sum => sum(parts, start, out),
             Rule::Mean => mean(parts, start, out),
             Rule::Max => max(parts, start, out),
             Rule::Product => product(parts, &logs, start, out),
-            Rule::Median => by_place(parts, start, out, memory, median),
+            Rule::Median => by_place(parts, start, out, memory, Statistic::Median),
             Rule::TrimmedMean { trim } => {
-                by_place(parts, start, out, memory, |scores| trimmed_mean(scores, trim));
+                by_place(parts, start, out, memory, Statistic::TrimmedMean(trim));
             }
         }
     });
@@ -143,53 +142,6 @@ fn product(parts: &[Part<'_>], logs: &[LogSoftmax], start: usize, out: &mut [f64
             *sum += weight * if *valid { score - log.log_sum } else { log.uniform };
         }
     }
-}
-
-/// Scores in ascending order, each with its weight.
-type Ascending<'a> = &'a [(f64, f64)];
-
-/// Applies a statistic to the scores of each place.
-fn by_place(
-    parts: &[Part<'_>],
-    start: usize,
-    out: &mut [f64],
-    memory: &mut Vec<(f64, f64)>,
-    statistic: impl Fn(Ascending<'_>) -> f64,
-) {
-    for (place, out) in (start..).zip(out) {
-        memory.clear();
-        let there = parts.iter().filter(|part| part.valid[place]);
-        memory.extend(there.map(|part| (part.scores[place], part.weight)));
-        memory.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-        *out = if memory.is_empty() { 0.0 } else { statistic(memory) };
-    }
-}
-
-/// The score at which half the weight is reached; the midpoint with the next one where it is reached exactly.
-fn median(scores: Ascending<'_>) -> f64 {
-    let total: f64 = scores.iter().map(|(_, weight)| weight).sum();
-    let mut below = 0.0;
-    for (index, (score, weight)) in scores.iter().enumerate() {
-        below += weight;
-        let past_half = below - total / 2.0;
-        if past_half.abs() <= EQUAL * total {
-            let next = scores.get(index + 1).map_or(*score, |(next, _)| *next);
-            return score / 2.0 + next / 2.0;
-        }
-        if past_half > 0.0 {
-            return *score;
-        }
-    }
-    scores.last().map_or(0.0, |(score, _)| *score)
-}
-
-fn trimmed_mean(scores: Ascending<'_>, trim: f64) -> f64 {
-    let n = scores.len();
-    let cut = ((trim * n as f64) as usize).min((n - 1) / 2);
-    let kept = &scores[cut..n - cut];
-    let total: f64 = kept.iter().map(|(_, weight)| weight).sum();
-    let sum: f64 = kept.iter().map(|(score, weight)| score * weight).sum();
-    if total > 0.0 { sum / total } else { 0.0 }
 }
 
 #[cfg(test)]

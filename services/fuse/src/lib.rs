@@ -17,6 +17,7 @@ mod fuser;
 pub mod fusion;
 mod map;
 pub mod offline;
+mod order;
 pub mod sequence;
 mod simd;
 pub mod similarity;
