@@ -76,6 +76,7 @@ fn every_layout_and_filter_is_read_exactly() {
         ("dsec_lzf.h5", T_OFFSET_NS, None, "DSEC", ("us", "format")),
         ("open_unit.h5", T_OFFSET_NS, None, "DSEC", ("us", "magnitude")),
         ("e2vid.h5", 0, sensor, "E2VID", ("s", "floating point")),
+        ("e2vid_contiguous.h5", 0, sensor, "E2VID", ("s", "floating point")),
         ("e2vid_floats.h5", 0, sensor, "E2VID", ("s", "floating point")),
         ("prophesee.h5", 0, sensor, "Prophesee", ("us", "format")),
         ("prophesee_odd.h5", 0, sensor, "Prophesee", ("us", "format")),
@@ -95,6 +96,18 @@ fn every_layout_and_filter_is_read_exactly() {
         (skipped[0].what.as_str(), skipped[0].count),
         ("external triggers", 5)
     );
+}
+
+#[test]
+fn a_file_may_stand_behind_something_else() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["e2vid_contiguous.h5", "e2vid.h5", "prophesee_odd.h5"] {
+        let path = folder.path().join(name);
+        let mut bytes = vec![0; 512];
+        bytes.extend(std::fs::read(fixture(name)).unwrap());
+        std::fs::write(&path, bytes).unwrap();
+        assert_eq!(read(&path), (all(0), String::new()), "{name}");
+    }
 }
 
 #[test]
@@ -152,6 +165,11 @@ fn bad_layouts_are_named_in_one_line() {
             "event 200 (from 0) has x -3; it must be a whole number from 0",
         ),
         ("e2vid_nan_time.h5", 100, "event 100 (from 0) has time NaN"),
+        (
+            "huge_chunks.h5",
+            0,
+            "/events/t has chunks of more than 8388608 events",
+        ),
         ("other_columns.h5", 0, "in /events (found: a, b)"),
         (
             "no_events_group.h5",

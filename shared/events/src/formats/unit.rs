@@ -86,7 +86,7 @@ pub(super) fn float_ns(time: f64, scale: u64) -> Option<u64> {
     }
     let us_scale = (scale / 1_000) as f64;
     let us = time * us_scale + 0.5;
-    if us_scale >= 1.0 && us < WHOLE && us.trunc() / us_scale == time {
+    if us_scale >= 1.0 && us < WHOLE && (us as u64) as f64 / us_scale == time {
         return (us as u64).checked_mul(1_000).filter(|ns| *ns <= MAX_TIME_NS);
     }
     // The whole part is scaled exactly; the fraction, which is exact too, keeps its digits.
@@ -95,9 +95,24 @@ pub(super) fn float_ns(time: f64, scale: u64) -> Option<u64> {
     (ns <= MAX_TIME_NS).then_some(ns)
 }
 
+/// As [`float_ns`] for units of `us_scale` µs each, and whether that is right: it is for whole microseconds below 2^51,
+/// of units that are whole microseconds themselves.
+#[inline]
+pub(super) fn quick_float_ns(time: f64, us_scale: f64) -> (u64, bool) {
+    // Added to a smaller number it leaves the nearest whole number in the lowest bits.
+    const ROUNDER: f64 = (1u64 << 52) as f64;
+    const MOST: f64 = (1u64 << 51) as f64;
+    let us = time * us_scale;
+    let rounded = us + ROUNDER;
+    let whole = rounded.to_bits() & ((1 << 52) - 1);
+    let good = ((rounded - ROUNDER) / us_scale == time) & (0.0..MOST).contains(&us) & (us_scale >= 1.0);
+    (whole.wrapping_mul(1000), good)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     #[test]
     fn floats_come_to_the_nearest_nanosecond() {
@@ -124,6 +139,28 @@ mod tests {
         assert_eq!(whole_ns(i64::MAX, 1), Some(MAX_TIME_NS));
         assert_eq!(whole_ns(i64::MAX, 1000), None);
         assert_eq!(whole_ns(-1, 1), None);
+    }
+
+    proptest! {
+        #[test]
+        fn quick_times_are_those_of_the_exact_way(
+            us in 0u64..1 << 53,
+            other in any::<f64>(),
+            unit in proptest::sample::select(vec![1u64, 1_000, 1_000_000, 1_000_000_000]),
+        ) {
+            let us_scale = unit as f64 / 1e3;
+            let mut quick = 0;
+            for time in [us as f64 / us_scale, us as f64 / us_scale + 1e-7, -(us as f64), 0.0, -0.0, us as f64 + 0.5, other] {
+                let (ns, good) = quick_float_ns(time, us_scale);
+                if good {
+                    prop_assert_eq!(Some(ns), float_ns(time, unit), "{} of {} ns", time, unit);
+                    quick += 1;
+                }
+            }
+            // Zeros always; whole microseconds as far as it goes.
+            let wanted = if us < 1 << 51 { 3 } else { 2 };
+            prop_assert!(unit == 1 || quick >= wanted, "{} of {} ns: {}", us, unit, quick);
+        }
     }
 
     #[test]

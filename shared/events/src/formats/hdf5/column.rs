@@ -1,48 +1,45 @@
 //! One column of events, of which one block is in memory; numbers of any width become what an event has.
 
-use super::super::unit::{float_ns, whole_ns};
-use super::{filters, type_name, unreadable};
+use super::super::unit::{float_ns, quick_float_ns, whole_ns};
+use super::stored::Stored;
+use super::{type_name, unreadable};
 use crate::{BATCH_EVENTS, MAX_TIME_NS};
 use hdf5_reader::error::{Error, Result as Hdf5Result};
 use hdf5_reader::{Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem};
 use std::fmt::Display;
+use std::ops::Range;
 
-/// Values up to the first that cannot be one, and what is wrong with that.
-pub(super) struct Loaded<T> {
-    pub(super) values: Vec<T>,
-    pub(super) wrong: Option<String>,
-}
-
-/// Reads a part of a dataset.
-pub(super) type Load<T> = Box<dyn Fn(&Dataset, &SliceInfo) -> Hdf5Result<Loaded<T>> + Send>;
+/// Reads a part of a dataset in place of what is in the vector: the values up to the first that cannot be one, and what
+/// is wrong with that.
+pub(super) type Load<T> =
+    Box<dyn FnMut(&mut Stored, Range<u64>, &mut Vec<T>) -> Hdf5Result<Option<String>> + Send>;
 
 /// A column and the block of it that is in memory.
 pub(super) struct Column<T> {
     path: String,
-    dataset: Dataset,
+    stored: Stored,
     load: Load<T>,
     /// Events per block: whole chunks, so that none is decoded twice.
     block_len: u64,
     start: u64,
     end: u64,
-    block: Loaded<T>,
+    block: Vec<T>,
+    /// What is wrong with the value behind those of the block.
+    wrong: Option<String>,
 }
 
 impl<T> Column<T> {
-    pub(super) fn new(path: String, dataset: Dataset, load: Load<T>) -> Self {
-        let chunk = dataset.chunks().and_then(|c| c.first().copied());
-        let chunk = chunk.map_or(1, u64::from).max(1);
+    pub(super) fn new(path: String, stored: Stored, load: Load<T>) -> Self {
+        let chunk = stored.chunk();
         Self {
             path,
-            dataset,
+            stored,
             load,
             block_len: chunk * (BATCH_EVENTS as u64).div_ceil(chunk),
             start: 0,
             end: 0,
-            block: Loaded {
-                values: Vec::new(),
-                wrong: None,
-            },
+            block: Vec::new(),
+            wrong: None,
         }
     }
 
@@ -51,7 +48,7 @@ impl<T> Column<T> {
     }
 
     pub(super) fn len(&self) -> u64 {
-        self.dataset.shape().first().copied().unwrap_or(0)
+        self.stored.len()
     }
 
     pub(super) fn block_len(&self) -> u64 {
@@ -63,14 +60,16 @@ impl<T> Column<T> {
         if !(self.start..self.end).contains(&at) {
             let start = at - at % self.block_len;
             let end = start.saturating_add(self.block_len).min(self.len());
-            self.block =
-                (self.load)(&self.dataset, &slice(start, end)).map_err(|e| unreadable(&self.path, &e))?;
+            // Until it is read there is no block.
+            (self.start, self.end) = (0, 0);
+            let read = (self.load)(&mut self.stored, start..end, &mut self.block);
+            self.wrong = read.map_err(|e| unreadable(&self.path, &e))?;
             (self.start, self.end) = (start, end);
         }
         let offset = (at - self.start) as usize;
-        match self.block.values.get(offset..) {
+        match self.block.get(offset..) {
             Some(rest) if !rest.is_empty() => Ok(rest),
-            _ => Err(match &self.block.wrong {
+            _ => Err(match &self.wrong {
                 Some(wrong) => format!("event {at} (from 0) has {wrong}"),
                 None => format!("{} ends before event {at}; the file is damaged", self.path),
             }),
@@ -93,6 +92,8 @@ pub(super) trait Number: H5Type + Copy + Display + 'static {
     fn is_minus_one(self) -> bool;
     /// As a time in units of `scale` ns.
     fn ns(self, scale: u64) -> Option<u64>;
+    /// As `ns` with what is to be added and whether it is a time, for most values, and without branches.
+    fn quick_ns(self, time: &Time) -> (u64, bool);
     /// Whether it may have a fraction.
     const FLOAT: bool = false;
     /// For the choice of a unit.
@@ -113,6 +114,12 @@ macro_rules! whole_numbers {
             #[inline]
             fn ns(self, scale: u64) -> Option<u64> {
                 i64::try_from(self).ok().and_then(|v| whole_ns(v, scale))
+            }
+            #[inline]
+            fn quick_ns(self, time: &Time) -> (u64, bool) {
+                // What is negative becomes larger than any time.
+                let units = self as u64;
+                (units.wrapping_mul(time.scale).wrapping_add(time.offset_ns), units <= time.most_units)
             }
             fn rough(self) -> f64 {
                 self as f64
@@ -137,6 +144,11 @@ macro_rules! floats {
             #[inline]
             fn ns(self, scale: u64) -> Option<u64> {
                 float_ns(f64::from(self), scale)
+            }
+            #[inline]
+            fn quick_ns(self, time: &Time) -> (u64, bool) {
+                let (ns, good) = quick_float_ns(f64::from(self), time.us_scale);
+                (ns.wrapping_add(time.offset_ns), good & (ns <= MAX_TIME_NS - time.offset_ns))
             }
             const FLOAT: bool = true;
             fn rough(self) -> f64 {
@@ -187,6 +199,9 @@ impl Number for Truth {
     fn ns(self, _: u64) -> Option<u64> {
         None
     }
+    fn quick_ns(self, _: &Time) -> (u64, bool) {
+        (0, false)
+    }
     fn rough(self) -> f64 {
         self.0.into()
     }
@@ -221,45 +236,58 @@ pub(super) fn for_type<F: ForType>(dtype: &Datatype, f: F) -> Option<F::Out> {
     })
 }
 
-/// Reads values that need no change.
-fn same<T: H5Type + 'static>() -> Load<T> {
-    Box::new(|dataset, part| {
-        let values = dataset.read_slice::<T>(part)?.into_raw_vec_and_offset().0;
-        Ok(Loaded { values, wrong: None })
-    })
-}
+/// Values that are converted at once, before it is asked whether all of them could be.
+const PIECE: usize = 1024;
 
-/// Reads values and converts them; `wanted` is what a value that cannot be converted should be.
+/// Reads values and converts them: all with `quick`, which says whether that is right, and where it is not for one, those
+/// around it with `convert`. `wanted` is what a value that cannot be converted should be.
 fn converted<S: Number, T>(
+    quick: impl Fn(S) -> (T, bool) + Send + 'static,
     convert: impl Fn(S) -> Option<T> + Send + 'static,
     name: &'static str,
     wanted: &'static str,
 ) -> Load<T> {
-    Box::new(move |dataset, part| {
-        let raw = dataset.read_slice::<S>(part)?.into_raw_vec_and_offset().0;
-        let mut values = filters::room(raw.len()).map_err(Error::ResourceLimit)?;
-        values.extend(raw.iter().map_while(|v| convert(*v)));
-        let wrong = raw.get(values.len());
-        let wrong = wrong.map(|v| format!("{name} {v}; it must be {wanted}"));
-        Ok(Loaded { values, wrong })
+    Box::new(move |stored, part, out| {
+        out.clear();
+        let mut wrong = None;
+        stored.read::<S>(part, |raw| {
+            let room = out.try_reserve(raw.len());
+            room.map_err(|e| Error::ResourceLimit(e.to_string()))?;
+            for piece in raw.chunks(PIECE) {
+                let (start, mut all_good) = (out.len(), true);
+                out.extend(piece.iter().map(|v| {
+                    let (value, good) = quick(*v);
+                    all_good &= good;
+                    value
+                }));
+                if all_good {
+                    continue;
+                }
+                out.truncate(start);
+                out.extend(piece.iter().map_while(|v| convert(*v)));
+                if let Some(v) = piece.get(out.len() - start) {
+                    wrong = Some(format!("{name} {v}; it must be {wanted}"));
+                    return Ok(false);
+                }
+            }
+            Ok(true)
+        })?;
+        Ok(wrong)
     })
 }
 
-const TIMES: &str = "from 0 to the year 2262";
-
-/// Reads times that need no change.
-fn nanoseconds() -> Load<u64> {
-    Box::new(|dataset, part| {
-        let mut values = dataset.read_slice::<u64>(part)?.into_raw_vec_and_offset().0;
-        let bad = values.iter().position(|t| *t > MAX_TIME_NS);
-        let wrong = bad.map(|bad| format!("time {}; it must be {TIMES}", values[bad]));
-        values.truncate(bad.unwrap_or(values.len()));
-        Ok(Loaded { values, wrong })
-    })
-}
-
-fn is_unsigned(dtype: &Datatype, bytes: u8) -> bool {
-    matches!(dtype, Datatype::FixedPoint { size, signed: false, .. } if *size == bytes)
+/// As `converted`, where one conversion is quick enough.
+fn simply_converted<S: Number, T: Default>(
+    convert: impl Fn(S) -> Option<T> + Copy + Send + 'static,
+    name: &'static str,
+    wanted: &'static str,
+) -> Load<T> {
+    let quick = move |v| {
+        let value = convert(v);
+        let good = value.is_some();
+        (value.unwrap_or_default(), good)
+    };
+    converted(quick, convert, name, wanted)
 }
 
 fn not_a_number(path: &str, dtype: &Datatype) -> String {
@@ -272,17 +300,15 @@ impl ForType for Coordinate {
     type Out = Load<u16>;
     fn run<S: Number>(self) -> Load<u16> {
         let convert = |v: S| v.whole().map(|v| u16::try_from(v).unwrap_or(u16::MAX));
-        converted(convert, self.0, "a whole number from 0")
+        simply_converted(convert, self.0, "a whole number from 0")
     }
 }
 
 /// A column of columns (`x`) or rows (`y`) of pixels.
-pub(super) fn coordinates(path: String, dataset: Dataset, name: &'static str) -> Result<Column<u16>, String> {
-    let load = match dataset.dtype() {
-        dtype if is_unsigned(dtype, 2) => same(),
-        dtype => for_type(dtype, Coordinate(name)).ok_or_else(|| not_a_number(&path, dtype))?,
-    };
-    Ok(Column::new(path, dataset, load))
+pub(super) fn coordinates(path: String, stored: Stored, name: &'static str) -> Result<Column<u16>, String> {
+    let load = for_type(stored.dtype(), Coordinate(name));
+    let load = load.ok_or_else(|| not_a_number(&path, stored.dtype()))?;
+    Ok(Column::new(path, stored, load))
 }
 
 struct Polarity;
@@ -295,48 +321,52 @@ impl ForType for Polarity {
             Some(0) => Some(false),
             _ => v.is_minus_one().then_some(false),
         };
-        converted(convert, "polarity", "0 or 1 (or -1 where the type is signed)")
+        simply_converted(convert, "polarity", "0 or 1 (or -1 where the type is signed)")
     }
 }
 
 /// A column of polarities: true for ON.
-pub(super) fn polarities(path: String, dataset: Dataset) -> Result<Column<bool>, String> {
-    let load = for_type(dataset.dtype(), Polarity).ok_or_else(|| not_a_number(&path, dataset.dtype()))?;
-    Ok(Column::new(path, dataset, load))
+pub(super) fn polarities(path: String, stored: Stored) -> Result<Column<bool>, String> {
+    let load = for_type(stored.dtype(), Polarity).ok_or_else(|| not_a_number(&path, stored.dtype()))?;
+    Ok(Column::new(path, stored, load))
 }
 
-struct Time {
+/// What times in a file mean.
+#[derive(Clone, Copy)]
+pub(super) struct Time {
+    /// The unit, ns.
     scale: u64,
+    /// The unit, µs; below 1 for nanoseconds.
+    us_scale: f64,
+    /// Added to each. At most [`MAX_TIME_NS`].
     offset_ns: u64,
+    /// The latest time in units.
+    most_units: u64,
 }
 
 impl ForType for Time {
     type Out = Load<u64>;
     fn run<S: Number>(self) -> Load<u64> {
-        let Self { scale, offset_ns } = self;
         let convert = move |v: S| {
-            let ns = v.ns(scale)?.checked_add(offset_ns);
+            let ns = v.ns(self.scale)?.checked_add(self.offset_ns);
             ns.filter(|ns| *ns <= MAX_TIME_NS)
         };
-        converted(convert, "time", TIMES)
+        let quick = move |v: S| v.quick_ns(&self);
+        converted(quick, convert, "time", "from 0 to the year 2262")
     }
 }
 
-/// A column of times in units of `scale` ns, with what is to be added to them.
-pub(super) fn times(
-    path: String,
-    dataset: Dataset,
-    scale: u64,
-    offset_ns: u64,
-) -> Result<Column<u64>, String> {
-    let load = match dataset.dtype() {
-        dtype if is_unsigned(dtype, 8) && scale == 1 && offset_ns == 0 => nanoseconds(),
-        dtype => {
-            let time = Time { scale, offset_ns };
-            for_type(dtype, time).ok_or_else(|| not_a_number(&path, dtype))?
-        }
+/// A column of times in units of `scale` ns each, with what is to be added to them.
+pub(super) fn times(path: String, stored: Stored, scale: u64, offset_ns: u64) -> Result<Column<u64>, String> {
+    let offset_ns = offset_ns.min(MAX_TIME_NS);
+    let time = Time {
+        scale,
+        us_scale: scale as f64 / 1e3,
+        offset_ns,
+        most_units: (MAX_TIME_NS - offset_ns) / scale.max(1),
     };
-    Ok(Column::new(path, dataset, load))
+    let load = for_type(stored.dtype(), time).ok_or_else(|| not_a_number(&path, stored.dtype()))?;
+    Ok(Column::new(path, stored, load))
 }
 
 /// One value of a dataset as any number.

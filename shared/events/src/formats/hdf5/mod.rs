@@ -13,6 +13,7 @@ mod filters;
 mod nsavp;
 mod prophesee;
 mod sensor;
+mod stored;
 
 use super::ReadOptions;
 use super::unit;
@@ -23,8 +24,12 @@ use evpr_core::plan::{Sensor, TimeUnit};
 use filters::Filters;
 use hdf5_reader::error::Error;
 use hdf5_reader::group::Group;
+use hdf5_reader::storage::FileStorage;
 use hdf5_reader::{Dataset, Datatype, Hdf5File, OpenOptions};
+use std::fs::File;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use stored::Stored;
 
 /// A unit, and how it is known.
 type KnownUnit = (TimeUnit, &'static str);
@@ -69,8 +74,10 @@ impl Times {
 
 /// A file, and the filters with which it was opened.
 struct Opened {
-    file: Hdf5File,
+    hdf5: Hdf5File,
     filters: Filters,
+    /// The same file, for what is not compressed.
+    file: Arc<File>,
 }
 
 /// Columns in a file that is being opened.
@@ -107,7 +114,7 @@ fn dataset(file: &Opened, group: &Group, place: &str, name: &str) -> Result<Opti
     let path = format!("{place}{name}");
     match group.dataset(name) {
         Ok(dataset) => {
-            file.filters.check(&file.file, &path, &dataset)?;
+            file.filters.check(&file.hdf5, &path, &dataset)?;
             Ok(Some(dataset))
         }
         Err(Error::DatasetNotFound(_)) => Ok(None),
@@ -204,15 +211,22 @@ impl Hdf5 {
             .with_max_chunk_bytes(MAX_CHUNK_BYTES)
             .with_max_read_bytes(MAX_READ_BYTES)
             .with_filter_registry(filters.registry());
-        let file =
-            Hdf5File::open_with_options(path, how).map_err(|e| unreadable("the HDF5 structure", &e))?;
-        let file = Opened { file, filters };
-        let root = file.file.root_group();
+        let structure = |e: Error| unreadable("the HDF5 structure", &e);
+        let file = File::open(path).map_err(|e| structure(e.into()))?;
+        let same = file.try_clone().map_err(|e| structure(e.into()))?;
+        let storage = FileStorage::from_file(same).map_err(structure)?;
+        let hdf5 = Hdf5File::from_storage_with_options(Arc::new(storage), how).map_err(structure)?;
+        let file = Opened {
+            hdf5,
+            filters,
+            file: Arc::new(file),
+        };
+        let root = file.hdf5.root_group();
         let root = root.map_err(|e| unreadable("the HDF5 root", &e))?;
         if let Some(cd) = group(&root, "CD")?
             && let Some(events) = dataset(&file, &cd, "/CD/", "events")?
         {
-            return Self::compound(path, &root, events);
+            return Self::compound(path, &file, &root, events);
         }
         let Some(events) = group(&root, "events")? else {
             return Err(format!(
@@ -223,9 +237,9 @@ impl Hdf5 {
         Self::columns(path, &file, root, &events, options)
     }
 
-    fn compound(path: &Path, root: &Group, events: Dataset) -> Result<Self, String> {
+    fn compound(path: &Path, file: &Opened, root: &Group, events: Dataset) -> Result<Self, String> {
         check_shape(prophesee::PATH, &events)?;
-        let events = prophesee::column(events)?;
+        let events = prophesee::column(Stored::new(file, events))?;
         let triggers = Skipped {
             what: "external triggers".to_owned(),
             count: prophesee::triggers(root),
@@ -280,9 +294,9 @@ impl Hdf5 {
         };
         let [t, x, y, p] = layout.names;
         let (t, x, y, p) = (column(t)?, column(x)?, column(y)?, column(p)?);
-        let x = coordinates(x.0, x.1, "x")?;
-        let y = coordinates(y.0, y.1, "y")?;
-        let p = polarities(p.0, p.1)?;
+        let x = coordinates(x.0, Stored::new(file, x.1), "x")?;
+        let y = coordinates(y.0, Stored::new(file, y.1), "y")?;
+        let p = polarities(p.0, Stored::new(file, p.1))?;
         let len = t.1.shape().first().copied().unwrap_or(0);
         for (path, other) in [(x.path(), x.len()), (y.path(), y.len()), (p.path(), p.len())] {
             if other != len {
@@ -306,7 +320,12 @@ impl Hdf5 {
             index,
         } = (layout.times)(&events)?;
         let scale = 10u64.pow(unit::digits(unit.0).unwrap_or(0));
-        let t = column::times(events.times.0, events.times.1, scale, offset_ns)?;
+        let t = column::times(
+            events.times.0,
+            Stored::new(file, events.times.1),
+            scale,
+            offset_ns,
+        )?;
         Ok(Self {
             path: path.to_owned(),
             format: layout.format,

@@ -3,38 +3,44 @@
 //!
 //! As the vendor's tools write it, it is compressed by their own filter (ECF), which is not read here.
 
-use super::column::{Column, Loaded};
-use super::{filters, type_name};
+use super::column::Column;
+use super::stored::Stored;
+use super::type_name;
 use crate::{MAX_TIME_NS, RawEvent};
 use hdf5_reader::error::{Error, Result as Hdf5Result};
 use hdf5_reader::group::Group;
-use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type};
+use hdf5_reader::{ByteOrder, Datatype, H5Type};
 
 pub(super) const FORMAT: &str = "HDF5 (Prophesee layout)";
 pub(super) const PATH: &str = "/CD/events";
 
 /// The events of the compound; its type is checked.
-pub(super) fn column(dataset: Dataset) -> Result<Column<RawEvent>, String> {
-    if Fields::of(dataset.dtype()).is_none() {
+pub(super) fn column(stored: Stored) -> Result<Column<RawEvent>, String> {
+    if Fields::of(stored.dtype()).is_none() {
         return Err(format!(
             "{PATH} has type {}, not a compound of the whole numbers x, y, p and t; convert it",
-            type_name(dataset.dtype())
+            type_name(stored.dtype())
         ));
     }
-    let load = |dataset: &Dataset, part: &_| {
-        let read = dataset.read_slice::<Cd>(part)?.into_raw_vec_and_offset().0;
-        let mut values = filters::room(read.len()).map_err(Error::ResourceLimit)?;
-        values.extend(read.iter().map_while(|cd| match cd {
-            Cd::Event(event) => Some(*event),
-            Cd::Wrong(..) => None,
-        }));
-        let wrong = match read.get(values.len()) {
-            Some(Cd::Wrong(name, value)) => Some(format!("{name} {value}; {name} cannot be that")),
-            _ => None,
-        };
-        Ok(Loaded { values, wrong })
+    let load = |stored: &mut Stored, part, out: &mut Vec<RawEvent>| {
+        out.clear();
+        let mut wrong = None;
+        stored.read::<Cd>(part, |read| {
+            let room = out.try_reserve(read.len());
+            room.map_err(|e| Error::ResourceLimit(e.to_string()))?;
+            let start = out.len();
+            out.extend(read.iter().map_while(|cd| match cd {
+                Cd::Event(event) => Some(*event),
+                Cd::Wrong(..) => None,
+            }));
+            if let Some(Cd::Wrong(name, value)) = read.get(out.len() - start) {
+                wrong = Some(format!("{name} {value}; {name} cannot be that"));
+            }
+            Ok(wrong.is_none())
+        })?;
+        Ok(wrong)
     };
-    Ok(Column::new(PATH.to_owned(), dataset, Box::new(load)))
+    Ok(Column::new(PATH.to_owned(), stored, Box::new(load)))
 }
 
 /// Number of external triggers.
