@@ -5,7 +5,9 @@ pub mod config;
 pub mod events;
 pub mod frames;
 mod memory;
+mod panics;
 pub mod replay;
 pub mod store;
 
 pub use memory::allow_mib;
+pub use panics::allow_panics_in;
