@@ -205,14 +205,12 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
 }
 
 /// Windows that reach back over the ticks before, in a recording of the same kind.
-fn long_window_config(bench: &Bench) -> std::path::PathBuf {
-    bench.file(
-        "long.toml",
-        "[sensor]\nheight = 48\nwidth = 64\n\
+fn long_window_config(bench: &Bench, sequence: &str) -> std::path::PathBuf {
+    let stages = "[sensor]\nheight = 48\nwidth = 64\n\
          [slicing]\ntick = \"100ms\"\nwindows = [\"100ms\", \"350ms\"]\nalign = \"end\"\norigin = 0\n\
          [[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n\
-         [[extractor]]\nid = \"raw_pixels\"\n[fuse]\nsequence = { method = \"paper\", length = 5 }\n",
-    )
+         [[extractor]]\nid = \"raw_pixels\"\n";
+    bench.file("long.toml", &format!("{stages}[fuse]\nsequence = {sequence}\n"))
 }
 
 /// Runs `config` over the query, disturbed while it runs, and gives the answers.
@@ -248,8 +246,18 @@ fn kill(running: &Running, kind: &str) {
 
 #[test]
 fn windows_that_reach_back_survive_the_death_of_ingest_and_of_the_fuser() {
+    ingest_and_fuser_die("{ method = \"paper\", length = 5 }");
+}
+
+#[test]
+fn a_filter_survives_the_death_of_ingest_and_of_the_fuser() {
+    // Its history reaches back to the first tick.
+    ingest_and_fuser_die("{ method = \"filter\" }");
+}
+
+fn ingest_and_fuser_die(sequence: &str) {
     let bench = Bench::new();
-    let config = long_window_config(&bench);
+    let config = long_window_config(&bench, sequence);
     let map = bench.map(&config);
     bench.recording("query.txt", 150, 2);
     let (answers, said) = disturbed(&bench, &config, &map, PACE, |running| {
