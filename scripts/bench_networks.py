@@ -7,7 +7,7 @@ each network, what the processes take (from `latency_us` of the answers), what t
 beside the sum of its stages. Rounds of Python and of the graph alternate, so that both see the same machine.
 
     scripts/bench_networks.py --evpr target/release/evpr --models models/models.toml --recording drive.aedat4 \
-        --tick 6ms --pair event_count/cosplace --pair e2vid/cosplace
+        --tick 6ms --tick-seconds 1 --pair event_count/cosplace --pair e2vid/cosplace
 
 Needs Python 3.11 with numpy and onnxruntime (.cache/export-venv of scripts/export_models.py has them).
 """
@@ -134,8 +134,13 @@ def main():
     for path in (given.evpr, given.models, given.recording):
         if not path.exists():
             fail(f"{path} is not there")
+    given.evpr = given.evpr.resolve()
     for pair in given.pair:
-        measure(given, pair)
+        try:
+            measure(given, pair)
+        except subprocess.CalledProcessError as error:
+            said = error.stderr if isinstance(error.stderr, str) else ""
+            fail(f"{pair}: evpr failed with {error.returncode}: {said.strip()}")
 
 
 if __name__ == "__main__":

@@ -141,8 +141,8 @@ def refuse_early(network, options):
         raise Failure("firenet gains nothing from 8 bit: leave out --int8")
     if options.int8 and network.name != "megaloc" and options.calibration is None:
         raise Failure("--int8 needs --calibration PATH: frames, or voxel grids, of the kind the network will see")
-    if options.id and not re.fullmatch(r"[A-Za-z0-9_-]+", options.id):
-        raise Failure(f"--id '{options.id}': letters, digits, - and _ only")
+    if options.id and not re.fullmatch(r"[a-z0-9_-]{1,64}", options.id):
+        raise Failure(f"--id '{options.id}': write 1 to 64 of a-z, 0-9, _ and -")
 
 
 def variant_id(options):

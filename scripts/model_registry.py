@@ -4,6 +4,7 @@ Used by export_models.py, make_fixture_models.py and compare_descriptors.py. Nee
 """
 
 import hashlib
+import re
 import tomllib
 from pathlib import Path
 
@@ -92,7 +93,7 @@ def put(registry, name, path, entry):
     registry, path = Path(registry), Path(path)
     head = "# Networks. Written by scripts/export_models.py; other entries may be added by hand.\n"
     text = registry.read_text() if registry.exists() else head
-    before, *stanzas = text.split("[[model]]\n")
+    before, *stanzas = re.split(r"(?m)^[ \t]*\[\[[ \t]*model[ \t]*\]\][ \t]*(?:#[^\n]*)?\r?\n", text)
     new = stanza(name, path.relative_to(registry.parent).as_posix(), sha256_of(path), entry)
     kept, replaced = [], False
     for old in stanzas:

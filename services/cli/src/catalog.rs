@@ -28,11 +28,22 @@ impl Networks {
         let name = match &found {
             Some(_) => path.display().to_string(),
             None => format!(
-                "{}, which is not there: make it with scripts/export_models.py, or name another in inference.models",
+                "{}, which is not there: make it with scripts/export_models.py, or name another one",
                 path.display()
             ),
         };
         let registry = found.unwrap_or_default();
+        let built_in = |id: &str| {
+            let reconstructions = CATALOG.reconstructions.iter().map(|kind| kind.name);
+            let extractors = CATALOG.extractors.iter().map(|kind| kind.name);
+            reconstructions.chain(extractors).any(|name| name == id)
+        };
+        if let Some(model) = registry.models.iter().find(|model| built_in(&model.id)) {
+            return Err(Failure::new(format!(
+                "{name}: model \"{}\" has the name of a built-in kind; give it another id",
+                model.id
+            )));
+        }
         Ok(Self { registry, name })
     }
 

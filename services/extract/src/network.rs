@@ -74,9 +74,12 @@ impl NetworkExtractor {
     }
 }
 
-/// The Euclidean length of a descriptor, or the first of its numbers that is not finite.
+/// The Euclidean length of a descriptor; or that it has none, or the first of its numbers that is not finite.
 pub(crate) fn length(descriptor: &[f32]) -> Result<f64, String> {
     let sum: f64 = descriptor.iter().map(|v| f64::from(*v).powi(2)).sum();
+    if sum.sqrt() <= NO_LENGTH {
+        return Err("its row is all 0".to_owned());
+    }
     if sum.is_finite() {
         return Ok(sum.sqrt());
     }
@@ -87,9 +90,9 @@ pub(crate) fn length(descriptor: &[f32]) -> Result<f64, String> {
     })
 }
 
-/// Writes a descriptor over its length; all 0 where that is 1e-12 or less.
+/// Writes a descriptor over its length.
 pub(crate) fn write_unit(descriptor: &[f32], length: f64, row: &mut [f32]) {
-    let scale = if length > NO_LENGTH { 1.0 / length } else { 0.0 };
+    let scale = 1.0 / length;
     for (out, value) in row.iter_mut().zip(descriptor) {
         *out = (f64::from(*value) * scale) as f32;
     }
@@ -107,8 +110,6 @@ mod tests {
         let mut row = [9.0; 2];
         write_unit(&descriptor, length, &mut row);
         assert_eq!(row, [0.6, -0.8]);
-        write_unit(&[0.0, 0.0], 0.0, &mut row);
-        assert_eq!(row, [0.0, 0.0]);
     }
 
     #[test]
@@ -119,5 +120,6 @@ mod tests {
         );
         assert!(length(&[f32::INFINITY]).is_err());
         assert!(length(&[f32::MAX; 4]).is_ok());
+        assert_eq!(length(&[0.0, 0.0]), Err("its row is all 0".to_owned()));
     }
 }

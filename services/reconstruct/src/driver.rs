@@ -285,6 +285,7 @@ impl Reconstruct {
             _ => {
                 self.epoch = Some(header.epoch);
                 self.held.forget();
+                self.method.forget();
             }
         }
         let segment = self.segment_of(header);

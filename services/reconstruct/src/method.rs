@@ -29,6 +29,9 @@ pub(crate) trait Method: Send {
         Ok(())
     }
 
+    /// Forgets what it carries from window to window: what comes next is from elsewhere in the recording.
+    fn forget(&mut self) {}
+
     /// Renders the events of these slots, given in stream order, as one image of the sensor's size. Writes every
     /// byte of `out` (height × width × channels, row-major, channels interleaved). At least one event is in them.
     fn render(&mut self, slots: &[usize], out: &mut [u8]);

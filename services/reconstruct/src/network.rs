@@ -3,11 +3,8 @@
 use crate::method::Method;
 use crate::voxels::{KeptEvents, VoxelGrid};
 use evpr_core::message::Event;
-use evpr_core::plan::{Pixel, Plan, Sensor};
+use evpr_core::plan::{CARRY, Pixel, Plan, Sensor};
 use evpr_onnx::{FrameNetwork, Library, OnnxError, State};
-
-/// The parameter `state` where the memory lives on.
-const CARRY: &str = "carry";
 
 /// A network that sees the voxel grid of each window.
 pub(crate) struct NetworkMethod {
@@ -95,6 +92,12 @@ impl Method for NetworkMethod {
 
     fn clear(&mut self, slot: usize) {
         self.slots[slot].clear();
+    }
+
+    fn forget(&mut self) {
+        self.memories
+            .iter_mut()
+            .for_each(|memory| *memory = Memory::default());
     }
 
     fn prepare(&mut self, window: usize, tick: u64, slots: &[usize]) -> Result<(), String> {

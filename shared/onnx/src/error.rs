@@ -57,6 +57,16 @@ pub enum OnnxError {
     Run(String),
 }
 
+impl OnnxError {
+    /// What is wrong, without what to do about it.
+    pub(crate) fn problem(&self) -> String {
+        match self {
+            Self::Provider { problem, .. } => problem.clone(),
+            other => other.to_string(),
+        }
+    }
+}
+
 /// What ONNX Runtime says, on one line and not longer than a line should be.
 pub(crate) fn one_line(error: &dyn std::fmt::Display) -> String {
     const LONGEST: usize = 400;

@@ -2,7 +2,7 @@
 
 use crate::error::{OnnxError, one_line};
 use crate::library::Library;
-use crate::session::{Loaded, Opened, Tensor, open, wrong_model};
+use crate::session::{Loaded, Opened, Tensor, open, pattern, wrong_model};
 use evpr_core::plan::{Inference, ModelKind, Network, Sensor};
 use ort::session::Session;
 use ort::value::{DynValue, TensorRef};
@@ -18,7 +18,6 @@ pub struct DescriptorNetwork {
     width: usize,
     dimension: usize,
     batch: usize,
-    id: String,
     loaded: Loaded,
 }
 
@@ -88,7 +87,7 @@ impl DescriptorNetwork {
             (None, true) if opened.loaded.provider.gains_from_batches() => most.max(1),
             (None, _) => 1,
         };
-        Ok(Self {
+        let mut network = Self {
             input: input.name.clone(),
             output: model.output.clone(),
             channels,
@@ -96,10 +95,28 @@ impl DescriptorNetwork {
             width,
             dimension: *dimension,
             batch,
-            id: model.id.clone(),
             loaded: opened.loaded,
             session: opened.session,
-        })
+        };
+        network.try_out().map_err(wrong)?;
+        Ok(network)
+    }
+
+    /// Computes a first batch, so that what cannot work is found out now, and the first frame is no slower than others.
+    fn try_out(&mut self) -> Result<(), String> {
+        let images = pattern(self.batch * self.channels * self.height * self.width);
+        let descriptors = self.run(&images, self.batch).map_err(|e| e.to_string())?;
+        match (0..self.batch)
+            .flat_map(|i| descriptors.get(i))
+            .position(|v| !v.is_finite())
+        {
+            Some(at) => Err(format!(
+                "number {} of its descriptor is none ({}); export it again from sound weights",
+                at % self.dimension,
+                descriptors.get(at / self.dimension)[at % self.dimension]
+            )),
+            None => Ok(()),
+        }
     }
 
     /// Channels, height and width of its input.
@@ -127,7 +144,7 @@ impl DescriptorNetwork {
     /// # Errors
     /// When the network fails, or gives another number of values than it should.
     pub fn run(&mut self, images: &[f32], count: usize) -> Result<Descriptors, OnnxError> {
-        let failed = |problem: String| OnnxError::Run(format!("network \"{}\": {problem}", self.id));
+        let failed = OnnxError::Run;
         let shape = [count, self.channels, self.height, self.width];
         let input = TensorRef::from_array_view((shape, images)).map_err(|e| failed(one_line(&e)))?;
         let run = self.session.run(vec![(self.input.as_str(), input)]);

@@ -1,6 +1,7 @@
 //! The shared library of ONNX Runtime: where it is found, and that it can be used.
 
 use crate::error::{OnnxError, one_line};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Names the library, when the configuration does not.
@@ -37,7 +38,12 @@ impl Library {
             origin,
         };
         if !path.is_file() {
-            return Err(wrong("there is no such file".to_owned()));
+            let problem = if path.exists() {
+                "it is no file"
+            } else {
+                "there is no such file"
+            };
+            return Err(wrong(problem.to_owned()));
         }
         // An absolute path, as the loader would look for another one beside the executable first.
         let absolute = std::path::absolute(&path).map_err(|e| wrong(e.to_string()))?;
@@ -47,7 +53,8 @@ impl Library {
             .with_telemetry(false)
             .build()
             .map_err(|e| wrong(one_line(&e)))?;
-        environment.set_log_level(ort::logging::LogLevel::Error);
+        // What is wrong comes back as an error, and is said once.
+        environment.set_log_level(ort::logging::LogLevel::Fatal);
         Ok(Self { environment, path })
     }
 
@@ -76,8 +83,8 @@ fn load_problem(error: &ort::LoadDynamicError) -> String {
 }
 
 /// Finds the library: the one that is configured, else the one that `$ORT_DYLIB_PATH` names, else the newest one that
-/// scripts/get-onnxruntime put into `$EVPR_CACHE_DIR`, or into `.cache` of a folder above the executable or above the
-/// current folder. Also says who named it.
+/// scripts/get-onnxruntime put into `$EVPR_CACHE_DIR`, or into `.cache` of a folder above the executable; that only if it
+/// belongs to this user or to root, as nobody else shall say what is run. Also says who named it.
 ///
 /// # Errors
 /// When nobody names one, and none was fetched.
@@ -92,16 +99,21 @@ pub fn find_library(configured: Option<&Path>) -> Result<(PathBuf, &'static str)
     let fetched = match variable(CACHE_VARIABLE) {
         Some(cache) => newest_in(Path::new(&cache)),
         None => {
-            let starts = [std::env::current_exe(), std::env::current_dir()];
-            let above = starts.iter().flatten().flat_map(|start| start.ancestors());
-            above
-                .map(|folder| folder.join(CACHE_FOLDER))
-                .find_map(|cache| newest_in(&cache))
+            let executable = std::env::current_exe().unwrap_or_default();
+            let mut above = executable.ancestors().map(|folder| folder.join(CACHE_FOLDER));
+            above.find_map(|cache| newest_in(&cache))
         }
     };
     fetched
         .map(|path| (path, "inference.library"))
         .ok_or(OnnxError::NoLibrary)
+}
+
+/// A file that belongs to this user or to root.
+fn is_trusted(path: &Path) -> bool {
+    let found = std::fs::metadata(path).ok().filter(std::fs::Metadata::is_file);
+    let own = std::fs::metadata("/proc/self").map_or(0, |m| m.uid());
+    found.is_some_and(|m| m.uid() == 0 || m.uid() == own)
 }
 
 /// The library of the highest version in `cache/onnxruntime/<version>/libonnxruntime.so*`.
@@ -125,7 +137,7 @@ fn newest_in(cache: &Path) -> Option<PathBuf> {
         let is_library = |path: &PathBuf| {
             let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
             let name = name.unwrap_or_default();
-            path.is_file()
+            is_trusted(path)
                 && (name.starts_with("libonnxruntime.so")
                     || name.starts_with("libonnxruntime.") && name.ends_with("dylib"))
         };

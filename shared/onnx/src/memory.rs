@@ -5,16 +5,26 @@
 /// of its address space. None where nothing says it.
 pub(crate) fn available() -> Option<u64> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
-    let number = |path: &str| read(path)?.trim().parse::<u64>().ok();
     let machine = read("/proc/meminfo").and_then(|text| kib_of(&text, "MemAvailable:"));
-    let group = number("/sys/fs/cgroup/memory.max")
-        .zip(number("/sys/fs/cgroup/memory.current"))
-        .map(|(most, current)| most.saturating_sub(current));
+    let group = read("/proc/self/cgroup").and_then(|text| of_group(&text, &read));
     let address_space = read("/proc/self/limits")
         .and_then(|text| limit_of(&text, "Max address space"))
         .zip(read("/proc/self/status").and_then(|text| kib_of(&text, "VmSize:")))
         .map(|(most, current)| most.saturating_sub(current));
     [machine, group, address_space].into_iter().flatten().min()
+}
+
+/// What a control group (version 2) leaves: its limit less what it holds, but for files that it only keeps at hand.
+fn of_group(membership: &str, read: &dyn Fn(&str) -> Option<String>) -> Option<u64> {
+    let group = membership.lines().find_map(|line| line.strip_prefix("0::"))?;
+    let file = |name: &str| read(&format!("/sys/fs/cgroup{}/{name}", group.trim_end_matches('/')));
+    let number = |name: &str| file(name)?.trim().parse::<u64>().ok();
+    let (most, current) = number("memory.max").zip(number("memory.current"))?;
+    let stat = file("memory.stat").unwrap_or_default();
+    let idle = stat
+        .lines()
+        .find_map(|line| line.strip_prefix("inactive_file ")?.trim().parse::<u64>().ok());
+    Some(most.saturating_sub(current.saturating_sub(idle.unwrap_or(0))))
 }
 
 /// The bytes of a line such as `MemAvailable:   1234 kB`.
@@ -30,8 +40,8 @@ fn limit_of(text: &str, name: &str) -> Option<u64> {
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// What loading a network of this file takes at most: the file, its weights as the kernels want them, and the values
-/// in between.
+/// What loading a network of this file takes, about: the file, its weights as the kernels want them, and some room for
+/// what is computed. Networks on large images take more.
 pub(crate) fn needed(file_bytes: u64) -> u64 {
     const WORKING: u64 = 64 << 20;
     file_bytes.saturating_mul(2).saturating_add(WORKING)
@@ -63,6 +73,23 @@ mod tests {
             problem.contains("takes about 1888 MiB, and 1000 MiB of memory are free"),
             "{problem}"
         );
+    }
+
+    #[test]
+    fn files_that_a_group_keeps_at_hand_are_free() {
+        let read = |path: &str| {
+            let text = match path {
+                "/sys/fs/cgroup/a/b/memory.max" => "1000\n",
+                "/sys/fs/cgroup/a/b/memory.current" => "900\n",
+                "/sys/fs/cgroup/a/b/memory.stat" => "anon 100\ninactive_file 700\n",
+                "/sys/fs/cgroup/memory.max" => "max\n",
+                _ => return None,
+            };
+            Some(text.to_owned())
+        };
+        assert_eq!(of_group("0::/a/b\n", &read), Some(800));
+        assert_eq!(of_group("0::/\n", &read), None);
+        assert_eq!(of_group("5:memory:/x\n", &read), None);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::error::{OnnxError, one_line};
 use crate::library::Library;
-use crate::session::{Dim, Loaded, Opened, Tensor, open, wrong_model};
+use crate::session::{Dim, Loaded, Opened, Tensor, open, pattern, wrong_model};
 use evpr_core::plan::{Inference, ModelKind, Network, Sensor};
 use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, TensorRef};
@@ -19,7 +19,6 @@ pub struct FrameNetwork {
     width: usize,
     /// Inputs that carry state.
     states: Vec<StateInput>,
-    id: String,
     loaded: Loaded,
 }
 
@@ -81,17 +80,30 @@ impl FrameNetwork {
             .collect::<Result<_, _>>()
             .map_err(wrong)?;
         check_output(&opened, &model.output, height, width).map_err(wrong)?;
-        Ok(Self {
+        let mut network = Self {
             input: input.name.clone(),
             output: model.output.clone(),
             bins: *bins,
             height,
             width,
             states,
-            id: model.id.clone(),
             loaded: opened.loaded,
             session: opened.session,
-        })
+        };
+        network.try_out().map_err(wrong)?;
+        Ok(network)
+    }
+
+    /// Computes two frames, the second from the memory of the first, so that what cannot work is found out now, and the
+    /// first frame is no slower than others.
+    fn try_out(&mut self) -> Result<(), String> {
+        let voxels = pattern(self.bins * self.height * self.width);
+        let mut state = State::default();
+        for _ in 0..if self.has_memory() { 2 } else { 1 } {
+            self.run(&voxels, &mut state, &mut |_| {})
+                .map_err(|e| e.to_string())?;
+        }
+        Ok(())
     }
 
     /// Bins, height and width of its voxel grid, padding included.
@@ -122,8 +134,7 @@ impl FrameNetwork {
         take: &mut dyn FnMut(&[f32]),
     ) -> Result<(), OnnxError> {
         let before = std::mem::take(&mut state.0);
-        let id = &self.id;
-        let failed = |problem: String| OnnxError::Run(format!("network \"{id}\": {problem}"));
+        let failed = OnnxError::Run;
         let failed_in = |e: &dyn std::fmt::Display| failed(one_line(e));
         let shape = [1, self.bins, self.height, self.width];
         let grid = TensorRef::from_array_view((shape, voxels)).map_err(|e| failed_in(&e))?;
@@ -152,8 +163,32 @@ impl FrameNetwork {
             return Err(failed(format!("value {at} of its frame is {}", values[at])));
         }
         take(values);
-        let after = self.states.iter().map(|input| outputs.remove(&input.output));
-        state.0 = after.collect::<Option<_>>().unwrap_or_default();
+        let mut after = Vec::with_capacity(self.states.len());
+        for input in &self.states {
+            let value = outputs.remove(&input.output);
+            let value = value.ok_or_else(|| failed(format!("has no output \"{}\"", input.output)))?;
+            let (shape, numbers) = value.try_extract_tensor::<f32>().map_err(|e| failed_in(&e))?;
+            if !shape
+                .iter()
+                .copied()
+                .eq(input.shape.iter().map(|length| *length as i64))
+            {
+                return Err(failed(format!(
+                    "its state {} is {:?} before a frame and {:?} after it; export it anew",
+                    input.name,
+                    input.shape,
+                    &shape[..]
+                )));
+            }
+            if let Some(at) = numbers.iter().position(|number| !number.is_finite()) {
+                return Err(failed(format!(
+                    "number {at} of its state {} is {}",
+                    input.name, numbers[at]
+                )));
+            }
+            after.push(value);
+        }
+        state.0 = after;
         Ok(())
     }
 }

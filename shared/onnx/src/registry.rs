@@ -97,7 +97,7 @@ impl Registry {
             let at = line(stanza.span().start);
             let stanza = stanza.into_inner();
             let id = stanza.id.clone();
-            let wrong = |problem: String| format!("line {at}: model \"{id}\": {problem}");
+            let wrong = |problem: String| format!("line {at}: model {id:?}: {problem}");
             let model = stanza.model(folder).map_err(wrong)?;
             if models.iter().any(|other| other.id == model.id) {
                 return Err(wrong("there is another of this id; write another one".to_owned()));
@@ -113,6 +113,18 @@ impl Stanza {
         let name_ok = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_' || c == '-';
         if !(1..=64).contains(&self.id.len()) || !self.id.chars().all(name_ok) {
             return Err("its id is no name; write 1 to 64 of a-z, 0-9, _ and -".to_owned());
+        }
+        let file = self.file.to_string_lossy();
+        let texts = [
+            file.as_ref(),
+            self.output.as_deref().unwrap_or(""),
+            &self.licence,
+            &self.source,
+        ];
+        if texts.iter().any(|text| text.contains(char::is_control)) {
+            return Err(
+                "file, output, licence and source are one line each; remove control characters".to_owned(),
+            );
         }
         let sha256 = self.sha256.to_ascii_lowercase();
         if sha256.len() != 64 || !sha256.bytes().all(|b| b.is_ascii_hexdigit()) {
@@ -228,6 +240,15 @@ fn no_strangers(keys: &[(&str, bool)], kind: &str) -> Result<(), String> {
     }
 }
 
+/// SHA-256 of these bytes, in hexadecimal digits.
+pub(crate) fn hex_sha256(bytes: &[u8]) -> String {
+    hex(&Sha256::digest(bytes))
+}
+
+fn hex(hash: &[u8]) -> String {
+    hash.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 /// SHA-256 of a file, in hexadecimal digits.
 ///
 /// # Errors
@@ -243,7 +264,7 @@ pub fn sha256_of(path: &Path) -> std::io::Result<String> {
         }
         hash.update(&buffer[..read]);
     }
-    Ok(hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hex(&hash.finalize()))
 }
 
 #[cfg(test)]
@@ -311,6 +332,8 @@ mod tests {
         for (changed, expected) in [
             ("id = \"Mix VPR\"", "line 1: model \"Mix VPR\": its id is no name"),
             ("sha256 = \"abc\"", "sha256 is no hash"),
+            ("id = \"a\\nb\"", "line 1: model \"a\\nb\": its id is no name"),
+            ("source = \"\\u001b[31m\"", "remove control characters"),
             ("mean = [1.0]", "mean has 1 numbers, and its input 3 channels"),
             ("std = [1.0, 0.0, 1.0]", "std above 0"),
             ("dimension = 0", "dimension 0 is out of range"),

@@ -5,12 +5,14 @@ use crate::describe::Facts;
 use crate::error::{OnnxError, one_line};
 use crate::library::Library;
 use crate::memory;
-use crate::registry::sha256_of;
+use crate::registry::hex_sha256;
 use evpr_core::plan::{Inference, Model, Network, Provider, Sensor};
-use ort::ep::{self, ExecutionProviderDispatch};
+use ort::ep::{self, ExecutionProvider, ExecutionProviderDispatch};
 use ort::session::Session;
 use ort::session::builder::GraphOptimizationLevel;
 use ort::value::{TensorElementType, ValueType};
+use std::fs::File;
+use std::io::Read;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -119,6 +121,13 @@ fn tensor(outlet: &ort::value::Outlet) -> Tensor {
     }
 }
 
+/// Something to compute: neither constant nor the same in every channel.
+pub(crate) fn pattern(numbers: usize) -> Vec<f32> {
+    (0..numbers)
+        .map(|i| ((i * 7919) % 1024) as f32 / 512.0 - 1.0)
+        .collect()
+}
+
 /// An error about the model's file.
 pub(crate) fn wrong_model(model: &Model, problem: String) -> OnnxError {
     OnnxError::Model {
@@ -132,8 +141,9 @@ pub(crate) fn wrong_model(model: &Model, problem: String) -> OnnxError {
 pub(crate) fn open(library: &Library, network: &Network, inference: &Inference) -> Result<Opened, OnnxError> {
     let started = Instant::now();
     let model = &network.model;
-    check_file(model)?;
-    let (session, provider) = start(library, network, inference)?;
+    let bytes = read_file(model)?;
+    let (session, provider) = start(library, network, inference, &bytes)?;
+    drop(bytes);
     let facts = Facts::of(&session);
     if let Some(problem) = facts.contradiction(model) {
         return Err(wrong_model(model, problem));
@@ -159,23 +169,31 @@ pub(crate) fn open(library: &Library, network: &Network, inference: &Inference) 
     Ok(opened)
 }
 
-/// The file is there, is the registry's, and fits into memory.
-fn check_file(model: &Model) -> Result<(), OnnxError> {
+/// Reads the file: it is there, fits into memory, and is the registry's.
+fn read_file(model: &Model) -> Result<Vec<u8>, OnnxError> {
     let wrong = |problem: String| wrong_model(model, problem);
-    let bytes = std::fs::metadata(&model.file)
-        .map_err(|e| match e.kind() {
-            std::io::ErrorKind::NotFound => wrong(format!(
-                "there is no such file; {}",
-                match model.source.as_str() {
-                    "" => "put it there, or correct the registry".to_owned(),
-                    source => format!("put it there (its weights: {source}), or correct the registry"),
-                }
-            )),
-            _ => wrong(format!("cannot be read: {e}")),
-        })?
-        .len();
-    memory::check(bytes, memory::available()).map_err(wrong)?;
-    let hash = sha256_of(&model.file).map_err(|e| wrong(format!("cannot be read: {e}")))?;
+    let found = std::fs::metadata(&model.file).map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => wrong(format!(
+            "there is no such file; {}",
+            match model.source.as_str() {
+                "" => "put it there, or correct the registry".to_owned(),
+                source => format!("put it there (its weights: {source}), or correct the registry"),
+            }
+        )),
+        _ => wrong(format!("cannot be read: {e}")),
+    })?;
+    if !found.is_file() {
+        return Err(wrong("is no file; correct the registry".to_owned()));
+    }
+    memory::check(found.len(), memory::available()).map_err(wrong)?;
+    let mut bytes = Vec::new();
+    let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
+    bytes
+        .try_reserve_exact(length)
+        .map_err(|_| wrong(format!("there is no memory for its {} MiB", found.len() >> 20)))?;
+    let read = File::open(&model.file).and_then(|file| file.take(found.len()).read_to_end(&mut bytes));
+    read.map_err(|e| wrong(format!("cannot be read: {e}")))?;
+    let hash = hex_sha256(&bytes);
     if hash != model.sha256 {
         return Err(wrong(format!(
             "its SHA-256 is {}…, and the registry's {}…: it is cut short or another file; fetch or export it again, or \
@@ -184,7 +202,7 @@ fn check_file(model: &Model) -> Result<(), OnnxError> {
             &model.sha256[..12.min(model.sha256.len())]
         )));
     }
-    Ok(())
+    Ok(bytes)
 }
 
 /// Starts the first provider that can.
@@ -192,15 +210,22 @@ fn start(
     library: &Library,
     network: &Network,
     inference: &Inference,
+    bytes: &[u8],
 ) -> Result<(Session, Provider), OnnxError> {
     let model = &network.model;
     let mut last = None;
     for (index, provider) in inference.providers.iter().copied().enumerate() {
-        match session(library, network, inference, provider) {
+        match session(library, network, inference, bytes, provider) {
             Ok(session) => return Ok((session, provider)),
             Err(error) if !inference.fallback || index + 1 == inference.providers.len() => return Err(error),
             Err(error) => {
-                warn!("{error}; trying {}", inference.providers[index + 1].name());
+                warn!(
+                    model = model.id,
+                    "the provider \"{}\" cannot start, taking \"{}\": {}",
+                    provider.name(),
+                    inference.providers[index + 1].name(),
+                    error.problem()
+                );
                 last = Some(error);
             }
         }
@@ -217,6 +242,7 @@ fn session(
     library: &Library,
     network: &Network,
     inference: &Inference,
+    bytes: &[u8],
     provider: Provider,
 ) -> Result<Session, OnnxError> {
     let model = &network.model;
@@ -225,12 +251,21 @@ fn session(
         provider: provider.name(),
         problem: one_line(e),
     };
+    if !is_there(provider).map_err(|e| cannot_start(&e))? {
+        return Err(cannot_start(&"this library of ONNX Runtime was built without it"));
+    }
     let engines = engine_cache(model, provider)?;
+    // XNNPACK has threads of its own.
+    let threads = if provider == Provider::Xnnpack {
+        1
+    } else {
+        network.threads
+    };
     let mut builder = Session::builder(&library.environment)
         .map_err(|e| cannot_start(&e))?
         .with_optimization_level(GraphOptimizationLevel::All)
         .map_err(|e| cannot_start(&e))?
-        .with_intra_threads(network.threads)
+        .with_intra_threads(threads)
         .map_err(|e| cannot_start(&e))?
         .with_intra_op_spinning(inference.spinning)
         .map_err(|e| cannot_start(&e))?;
@@ -239,12 +274,24 @@ fn session(
             .with_execution_providers([dispatch.error_on_failure()])
             .map_err(|e| cannot_start(&e))?;
     }
-    builder.commit_from_file(&model.file).map_err(|e| {
-        wrong_model(
+    builder.commit_from_memory(bytes).map_err(|e| match provider {
+        Provider::Cpu => wrong_model(
             model,
             format!("ONNX Runtime cannot load it: {}; export it again", one_line(&e)),
-        )
+        ),
+        _ => cannot_start(&e),
     })
+}
+
+/// Whether the library has this provider.
+fn is_there(provider: Provider) -> ort::Result<bool> {
+    match provider {
+        Provider::Cpu => Ok(true),
+        Provider::Cuda => ep::CUDA::is_available(),
+        Provider::Xnnpack => ep::XNNPACK::is_available(),
+        Provider::Tensorrt => ep::TensorRT::is_available(),
+        Provider::Openvino => ep::OpenVINO::is_available(),
+    }
 }
 
 /// The provider as ONNX Runtime wants it; none for its own kernels on the CPU, which are always there.

@@ -196,6 +196,11 @@ fn what_is_wrong_with_a_model_is_said_in_one_line() {
         assert!(!problem.contains('\n'), "{problem}");
     };
     says(model("wrong_dim"), SMALL, "it gives descriptor [");
+    says(
+        model("nan"),
+        SMALL,
+        "of its descriptor is none (NaN); export it again",
+    );
     says(model("contradiction"), SMALL, "the file says mean = ");
     says(model("opset_too_new"), SMALL, "ONNX Runtime cannot load it: ");
     let mut gone = model("tiny_extractor");

@@ -4,6 +4,7 @@ use crate::args::DoctorArgs;
 use crate::catalog;
 use crate::failure::Failure;
 use crate::output::say;
+use evpr_core::Plan;
 use evpr_core::config::Overrides;
 use evpr_runtime::RunFolder;
 use nix::sys::resource::{Resource, getrlimit};
@@ -166,13 +167,18 @@ fn clock() -> Finding {
     }
 }
 
-fn room(config: &Path) -> Result<Finding, Failure> {
+/// The plan of a configuration, with a fuser and a recorder.
+fn plan_of(config: &Path) -> Result<Plan, Failure> {
     let overrides = Overrides {
         map: Some(PathBuf::from("map")),
         record: Some(PathBuf::from("record")),
         ..Overrides::default()
     };
-    let room = evpr_runtime::room(&catalog::plan(config, &overrides)?)?;
+    catalog::plan(config, &overrides)
+}
+
+fn room(plan: &Plan) -> Result<Finding, Failure> {
+    let room = evpr_runtime::room(plan)?;
     let verdict = if room.needed > room.free {
         Verdict::Failure
     } else {
@@ -188,8 +194,8 @@ fn room(config: &Path) -> Result<Finding, Failure> {
 }
 
 /// ONNX Runtime is only needed by networks.
-fn onnx_runtime() -> Finding {
-    match evpr_onnx::Library::load(None) {
+fn onnx_runtime(configured: Option<&Path>) -> Finding {
+    match evpr_onnx::Library::load(configured) {
         Ok(library) => finding(
             "ONNX Runtime",
             Verdict::Ok,
@@ -224,10 +230,12 @@ pub(crate) fn doctor(args: &DoctorArgs) -> Result<ExitCode, Failure> {
         open_files(),
         processor(),
         clock(),
-        onnx_runtime(),
     ];
-    if let Some(config) = &args.config {
-        findings.push(room(config)?);
+    let plan = args.config.as_deref().map(plan_of).transpose()?;
+    let library = plan.as_ref().and_then(|plan| plan.inference.library.as_deref());
+    findings.push(onnx_runtime(library));
+    if let Some(plan) = &plan {
+        findings.push(room(plan)?);
     }
     if args.json {
         say!("{}", serde_json::to_string_pretty(&findings)?);

@@ -38,6 +38,22 @@ fn build(args: &MapBuildArgs) -> Result<ExitCode, Failure> {
         return Ok(code);
     }
     let map = Traverse::open(&args.out)?;
+    let members = &map.manifest().members;
+    let empty: Vec<&str> = members
+        .iter()
+        .filter(|m| m.present == 0)
+        .map(|m| m.name.as_str())
+        .collect();
+    if empty.len() == members.len() {
+        return Err(Failure::new(format!(
+            "{}: no member has a row in any of its {} ticks; nothing can be recognised with it",
+            args.out.display(),
+            map.len()
+        )));
+    }
+    if !empty.is_empty() {
+        tracing::warn!("members without a row in any tick: {}", empty.join(", "));
+    }
     if !args.graph.quiet {
         eprintln!(
             "{}: {} ticks, {} members",

@@ -56,6 +56,8 @@ struct Kind<'a, T> {
     name: &'a str,
     params: &'static [ParamInfo],
     is_network: bool,
+    /// Whether it can compute several frames at once.
+    takes_batches: bool,
     make: Box<dyn Fn(Said) -> Result<T, String> + 'a>,
 }
 
@@ -102,6 +104,7 @@ pub(super) fn reconstructions(root: &Table<'_>, catalog: &Catalog<'_>) -> Stages
         name: kind.name,
         params: kind.params,
         is_network: false,
+        takes_batches: false,
         make: Box::new(|said: Said| {
             Ok(Reconstruction {
                 id: said.id,
@@ -121,6 +124,7 @@ pub(super) fn reconstructions(root: &Table<'_>, catalog: &Catalog<'_>) -> Stages
         name: &model.id,
         params: NETWORK_PARAMS,
         is_network: true,
+        takes_batches: false,
         make: Box::new(|said: Said| {
             Ok(Reconstruction {
                 network: Some(network(model, &said)),
@@ -149,6 +153,7 @@ pub(super) fn extractors(root: &Table<'_>, catalog: &Catalog<'_>) -> Stages<Extr
         name: kind.name,
         params: kind.params,
         is_network: false,
+        takes_batches: false,
         make: Box::new(|said: Said| {
             Ok(Extractor {
                 dim: (kind.dim)(&said.params)?,
@@ -168,6 +173,7 @@ pub(super) fn extractors(root: &Table<'_>, catalog: &Catalog<'_>) -> Stages<Extr
         name: &model.id,
         params: &[],
         is_network: true,
+        takes_batches: true,
         make: Box::new(move |said: Said| {
             Ok(Extractor {
                 network: Some(network(model, &said)),
@@ -193,7 +199,7 @@ fn of_kind<'a>(models: Models<'a>, is: impl Fn(&ModelKind) -> bool) -> impl Iter
     models.models.iter().filter(move |model| is(&model.kind))
 }
 
-/// Gives each network that names no threads its share of the cores.
+/// Gives each network that names no threads its share of the cores that the others leave.
 pub(super) fn deal_threads(
     reconstructions: Option<&mut Vec<Reconstruction>>,
     extractors: Option<&mut Vec<Extractor>>,
@@ -207,12 +213,12 @@ pub(super) fn deal_threads(
         .into_iter()
         .flatten()
         .filter_map(|e| e.network.as_mut());
-    let networks: Vec<&mut Network> = of_frames.chain(of_rows).collect();
-    let count = networks.len();
-    for (index, network) in networks.into_iter().enumerate() {
-        if network.threads == 0 {
-            network.threads = threads_of(index, count, cores);
-        }
+    let (open, said): (Vec<&mut Network>, Vec<&mut Network>) =
+        of_frames.chain(of_rows).partition(|network| network.threads == 0);
+    let taken: usize = said.iter().map(|network| network.threads).sum();
+    let count = open.len();
+    for (index, network) in open.into_iter().enumerate() {
+        network.threads = threads_of(index, count, cores.saturating_sub(taken));
     }
 }
 
@@ -364,7 +370,12 @@ fn how<T>(table: &Table<'_>, kind: Option<&Kind<'_, T>>) -> Option<How> {
             "The most frames that the network computes at once, of those that wait; its file must allow it. One on a \
              CPU, as many as wait on a GPU when not given.",
         ),
-        |v| of_network(v, MAX_BATCH),
+        |v| match kind {
+            Some(kind) if kind.is_network && !kind.takes_batches => {
+                v.refuse("has no effect: a reconstruction computes one frame after the other; remove it")
+            }
+            _ => of_network(v, MAX_BATCH),
+        },
     );
     Some(How {
         optional: optional?,

@@ -128,12 +128,15 @@ pub struct ExtractorKind {
     pub dim: fn(&Params) -> Result<usize, String>,
 }
 
+/// The parameter `state` of a network that carries its memory from tick to tick.
+pub const CARRY: &str = "carry";
+
 /// The parameters of a reconstruction that is a network.
 pub const NETWORK_PARAMS: &[ParamInfo] = &[ParamInfo {
     name: "state",
     kind: ParamKind::Choice {
         default: "reset",
-        options: &["reset", "carry"],
+        options: &["reset", CARRY],
     },
     doc: "the network's memory: reset before every frame (the paper), or carried from tick to tick, window by window, \
           and reset where a tick is missing",

@@ -303,6 +303,14 @@ impl Plan {
         all
     }
 
+    /// Whether a frame depends on all ticks before it, and not only on its window: a network carries its memory on.
+    /// What is done a second time is then done from the recording's start.
+    pub fn carries_memory(&self) -> bool {
+        self.reconstructions
+            .iter()
+            .any(|r| r.network.is_some() && r.params.text("state") == CARRY)
+    }
+
     /// Whether the rest goes on without this service.
     pub fn is_optional(&self, service: &Service) -> bool {
         match service.kind {

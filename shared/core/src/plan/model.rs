@@ -187,6 +187,12 @@ impl Model {
             ("network.sha256", self.sha256.clone()),
             ("network.output", self.output.clone()),
         ];
+        if let ModelKind::Reconstruction { bins, multiple, .. } = &self.kind {
+            print.extend([
+                ("network.bins", bins.to_string()),
+                ("network.multiple", multiple.to_string()),
+            ]);
+        }
         if let ModelKind::Extractor { preprocessing: p, .. } = &self.kind {
             let numbers = |values: &[f64]| {
                 let values: Vec<String> = values.iter().map(f64::to_string).collect();

@@ -648,7 +648,11 @@ impl Supervisor {
         let first_tick = match self.processes[index].service.kind {
             ServiceKind::Ingest => {
                 self.epoch += 1;
-                let first = needed.saturating_sub(self.plan.slicing.segments().look_back_ticks());
+                let whole = self.plan.source.live.is_none() && self.plan.carries_memory();
+                let first = match whole {
+                    true => 0,
+                    false => needed.saturating_sub(self.plan.slicing.segments().look_back_ticks()),
+                };
                 let mut schedule = self.members.schedule(first);
                 schedule.newest = self.newest_open;
                 self.folder.write_schedule(&schedule)?;
