@@ -46,6 +46,7 @@ pub(crate) struct Engine {
     kind: Similarity,
     lanes: Vec<Lane>,
     ensemble: Ensemble,
+    min_confidence: f64,
 }
 
 impl Engine {
@@ -58,6 +59,7 @@ impl Engine {
         };
         let ensemble = Ensemble::new(map.references, fuse.top, fuse.exclusion).with_rule(fuse.rule);
         Ok(Self {
+            min_confidence: fuse.min_confidence,
             lanes: map.members.iter().map(lane).collect(),
             ensemble: match fuse.sequence {
                 SequenceMethod::Filter(filter) => ensemble.with_filter(filter),
@@ -128,6 +130,7 @@ impl Engine {
             _ if counting().next().is_none() => Verdict::None(Reason::NoRows),
             _ if !counting().any(|m| lanes[m].matcher.has_history()) => Verdict::None(Reason::NoHistory),
             None => Verdict::None(Reason::NoRows),
+            Some(best) if best.confidence < self.min_confidence => Verdict::None(Reason::LowConfidence),
             Some(best) => Verdict::Match(best),
         })
     }

@@ -152,3 +152,26 @@ fn what_does_not_fit_is_refused() {
         Err(FuseError::QueryNotFinite { tick: 1, .. })
     ));
 }
+
+#[test]
+fn answers_of_little_confidence_are_none() {
+    let mut plan = plan(&DIMS, 1);
+    let map = map(&plan, 10, |_, _| true);
+    let on = |_: u64| (0..2).collect::<MemberSet>();
+    let query = query(&(0..12).collect::<Vec<_>>(), |_, _| true);
+    let all = answers(&plan, map.clone(), &query, on).unwrap();
+    let mut confidences: Vec<f64> = all.iter().map(|(header, _)| header.confidence).collect();
+    confidences.sort_by(f64::total_cmp);
+    plan.fuse.min_confidence = confidences[6];
+    assert!(confidences[5] < confidences[6]);
+    let sure = answers(&plan, map, &query, on).unwrap();
+    for ((before, _), (after, candidates)) in all.iter().zip(&sure) {
+        if before.confidence >= confidences[6] {
+            assert_eq!((after.reference, after.reason), (before.reference, before.reason));
+        } else {
+            assert_eq!(Reason::from_code(after.reason), Some(Reason::LowConfidence));
+            assert!(after.reference < 0 && candidates.is_empty());
+        }
+    }
+    assert_eq!(sure.iter().filter(|(h, _)| h.reference >= 0).count(), 6);
+}

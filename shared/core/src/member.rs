@@ -93,11 +93,13 @@ pub enum Reason {
     Lost = 13,
     /// The camera was away, or started anew.
     Disconnected = 14,
+    /// Answer: its confidence is below the least that was asked for.
+    LowConfidence = 15,
 }
 
 impl Reason {
     /// All reasons.
-    pub const ALL: [Reason; 13] = [
+    pub const ALL: [Reason; 14] = [
         Reason::EmptyWindow,
         Reason::IncompleteWindow,
         Reason::BeforeStart,
@@ -111,6 +113,7 @@ impl Reason {
         Reason::NoMembers,
         Reason::Lost,
         Reason::Disconnected,
+        Reason::LowConfidence,
     ];
 
     /// The reason with this code.
@@ -139,6 +142,7 @@ impl Reason {
             Reason::NoMembers => "all members are disabled",
             Reason::Lost => "lost on the way",
             Reason::Disconnected => "the camera was disconnected",
+            Reason::LowConfidence => "low confidence",
         }
     }
 }

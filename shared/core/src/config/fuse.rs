@@ -46,6 +46,16 @@ pub(super) fn fuse(table: Table<'_>) -> Option<Fuse> {
         5,
         |v| v.integer(0..=1_000_000),
     );
+    let min_confidence = table.read(
+        key(
+            "min_confidence",
+            "number from 0 to 1",
+            Some("0.0"),
+            "An answer of less confidence is null, with the reason \"low confidence\"; evpr evaluate finds a threshold.",
+        ),
+        0.0,
+        |v| v.number(0.0..=1.0),
+    );
     table.close();
     let (sequence, length) = sequence?;
     Some(Fuse {
@@ -55,6 +65,7 @@ pub(super) fn fuse(table: Table<'_>) -> Option<Fuse> {
         rule: rule?,
         top: top? as usize,
         exclusion: exclusion? as usize,
+        min_confidence: min_confidence?,
     })
 }
 

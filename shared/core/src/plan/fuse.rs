@@ -251,6 +251,9 @@ pub struct Fuse {
     pub top: usize,
     /// Candidates within so many references of the best do not count as rivals for the confidence.
     pub exclusion: usize,
+    /// The least confidence of an answer, 0 to 1: below it there is none.
+    #[serde(default)]
+    pub min_confidence: f64,
 }
 
 impl Fuse {
@@ -276,6 +279,7 @@ mod tests {
             rule: Rule::Sum,
             top: 5,
             exclusion: 5,
+            min_confidence: 0.0,
         }
     }
 

@@ -436,6 +436,7 @@ pub fn test_plan() -> Plan {
             rule: Rule::Sum,
             top: 5,
             exclusion: 5,
+            min_confidence: 0.0,
         },
         inference: Inference::default(),
         delivery: Delivery::Lossless,
