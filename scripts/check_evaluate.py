@@ -70,20 +70,20 @@ def matched(s, present, valid, method, length):
     if method == "seqslam":
         spread[np.ix_(present, valid)] = local_contrast(s[np.ix_(present, valid)])
         velocities = np.linspace(0.8, 1.2, 10)
+        places = np.arange(references)
         for q in range(queries):
             history[q] &= q >= length - 1
             if not present[q]:
                 continue
             out[q] = -np.inf
-            for j in range(length - 1, references):
-                if q < length - 1:
-                    break
-                sums = []
-                for v in velocities:
-                    line = [int(j - lag * v) for lag in range(length)]
-                    if 0 <= j - (length - 1) * v:
-                        sums.append(sum(spread[q - lag, line[lag]] for lag in reversed(range(length))))
-                out[q, j] = max(sums, default=-np.inf)
+            for v in velocities if q >= length - 1 else ():
+                total = np.zeros(references)
+                for lag in reversed(range(length)):
+                    # Rounded towards zero: a line that begins less than one place before the map still lies on it.
+                    line = np.trunc(places - lag * v).astype(int)
+                    total += spread[q - lag, np.clip(line, 0, None)]
+                on_map = (places >= length - 1) & (places - (length - 1) * v > -1)
+                out[q] = np.where(on_map, np.maximum(out[q], total), out[q])
             out[q, ~valid & (out[q] > -np.inf)] = 0
         return out, history
     for q in range(queries):
@@ -106,6 +106,8 @@ def matched(s, present, valid, method, length):
 
 
 def log_softmax(x):
+    if x.max() == -np.inf:  # nothing can be scored yet
+        return x
     x = x - x.max()
     return x - np.log(np.exp(x).sum())
 
@@ -122,16 +124,19 @@ def fuse(scores, valid, rule, trim=0.25):
             total += log
         return total
     out = np.zeros(scores.shape[1])
-    for j in range(scores.shape[1]):
-        x = np.sort(scores[valid[:, j], j])
+    # Places that the same members have a row for are fused together.
+    patterns, which = np.unique(valid, axis=1, return_inverse=True)
+    for at, there in enumerate(patterns.T):
+        places = np.flatnonzero(which.ravel() == at)
+        x = np.sort(scores[np.ix_(there, places)], axis=0)
         if not len(x):
             continue
         cut = int(trim * len(x))
-        out[j] = {
-            "mean": lambda: x.mean(),
-            "max": lambda: x.max(),
-            "median": lambda: np.median(x),
-            "trimmed_mean": lambda: x[cut : len(x) - cut].mean(),
+        out[places] = {
+            "mean": lambda: x.mean(0),
+            "max": lambda: x.max(0),
+            "median": lambda: np.median(x, axis=0),
+            "trimmed_mean": lambda: x[cut : len(x) - cut].mean(0),
         }[rule]()
     return out
 

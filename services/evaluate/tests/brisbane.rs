@@ -4,25 +4,8 @@
 mod support;
 
 use evpr_core::plan::SequenceMethod;
-use evpr_evaluate::{Pair, PairSpec, Results, Spec, Truth, evaluate};
-use ndarray::{Array3, Axis};
-use std::path::Path;
+use evpr_evaluate::{Pair, Results, Spec, evaluate};
 use support::*;
-
-/// Rows of `raw_pixels` 7×7 with `log1p`: mean 0, standard deviation 1, L2-normalised.
-fn rows(path: &Path) -> Vec<Vec<f32>> {
-    let images: Array3<u8> = ndarray_npy::read_npy(path).unwrap();
-    let row = |image: ndarray::ArrayView2<'_, u8>| {
-        let v: Vec<f64> = image.iter().map(|p| f64::from(*p).ln_1p()).collect();
-        let mean = v.iter().sum::<f64>() / 49.0;
-        let sigma = (v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 49.0).sqrt() + 1e-6;
-        let z: Vec<f64> = v.iter().map(|x| (x - mean) / sigma).collect();
-        let norm = z.iter().map(|x| x * x).sum::<f64>().sqrt();
-        // An image of one level has a row of zeros.
-        z.iter().map(|z| (z / norm.max(1e-12)) as f32).collect()
-    };
-    images.axis_iter(Axis(0)).map(row).collect()
-}
 
 #[test]
 fn recall_is_as_published() {
@@ -30,26 +13,7 @@ fn recall_is_as_published() {
         return;
     };
     let folder = tempfile::tempdir().unwrap();
-    let mut plan = plan();
-    plan.members.truncate(1);
-    plan.extractors.truncate(1);
-    plan.extractors[0].dim = 49;
-    for (name, file) in [("map", "reference_sunset2.npy"), ("query", "query_sunset1.npy")] {
-        let rows = rows(&data.join(file));
-        write(
-            &plan,
-            &folder.path().join(name),
-            rows.len(),
-            |_, t| Some(rows[t].clone()),
-            |_| None,
-        );
-    }
-    let truth = Truth::File {
-        path: data.join("ground_truth.csv"),
-        tolerance_frames: 0,
-        orientation: None,
-    };
-    let pair = PairSpec::new(folder.path().join("map"), folder.path().join("query"), truth);
+    let pair = brisbane(&data, folder.path());
     let pairs = [Pair::open(&pair, &[]).unwrap()];
     let spec = Spec {
         methods: vec![SequenceMethod::None, SequenceMethod::Paper],

@@ -5,6 +5,7 @@ use evpr_core::Plan;
 use evpr_core::plan::{Extractor, Member, Params, Rule, SequenceMethod, Similarity, test_plan};
 use evpr_evaluate::{Pair, PairSpec, Spec, SubsetChoice, SubsetKind, Truth};
 use evpr_store::{NewTraverse, TickRecord, TraverseWriter};
+use ndarray::{Array3, Axis};
 use std::path::{Path, PathBuf};
 
 pub const DIMS: [usize; 4] = [5, 4, 6, 3];
@@ -135,4 +136,43 @@ pub fn shared(test: &str, folder: &str) -> Option<PathBuf> {
         return None;
     }
     Some(path)
+}
+
+/// Rows of `raw_pixels` 7×7 with `log1p`: mean 0, standard deviation 1, L2-normalised.
+fn brisbane_rows(path: &Path) -> Vec<Vec<f32>> {
+    let images: Array3<u8> = ndarray_npy::read_npy(path).unwrap();
+    let row = |image: ndarray::ArrayView2<'_, u8>| {
+        let v: Vec<f64> = image.iter().map(|p| f64::from(*p).ln_1p()).collect();
+        let mean = v.iter().sum::<f64>() / 49.0;
+        let sigma = (v.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 49.0).sqrt() + 1e-6;
+        let z: Vec<f64> = v.iter().map(|x| (x - mean) / sigma).collect();
+        let norm = z.iter().map(|x| x * x).sum::<f64>().sqrt();
+        // An image of one level has a row of zeros.
+        z.iter().map(|z| (z / norm.max(1e-12)) as f32).collect()
+    };
+    images.axis_iter(Axis(0)).map(row).collect()
+}
+
+/// Traverses of one member from the images of Brisbane-Event-VPR in `data`, and their pair.
+pub fn brisbane(data: &Path, folder: &Path) -> PairSpec {
+    let mut plan = plan();
+    plan.members.truncate(1);
+    plan.extractors.truncate(1);
+    plan.extractors[0].dim = 49;
+    for (name, file) in [("map", "reference_sunset2.npy"), ("query", "query_sunset1.npy")] {
+        let rows = brisbane_rows(&data.join(file));
+        write(
+            &plan,
+            &folder.join(name),
+            rows.len(),
+            |_, t| Some(rows[t].clone()),
+            |_| None,
+        );
+    }
+    let truth = Truth::File {
+        path: data.join("ground_truth.csv"),
+        tolerance_frames: 0,
+        orientation: None,
+    };
+    PairSpec::new(folder.join("map"), folder.join("query"), truth)
 }
