@@ -364,6 +364,65 @@ mod tests {
         assert_eq!((got[0], got[5]), (1.0, -1.0));
     }
 
+    /// Grids made by `scripts/make_voxel_golden.py`.
+    #[test]
+    fn grids_are_those_of_the_golden_arrays() {
+        use ndarray::{Array2, Array3};
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden_voxels");
+        for (name, height, width) in [("odd", 13, 21), ("whole", 16, 24)] {
+            let sensor = Sensor { height, width };
+            let read = |what: &str| -> Array2<i64> {
+                ndarray_npy::read_npy(folder.join(format!("{name}.{what}.npy"))).unwrap()
+            };
+            let expected: Array3<f32> =
+                ndarray_npy::read_npy(folder.join(format!("{name}.voxels.npy"))).unwrap();
+            let padded = Sensor {
+                height: expected.shape()[1],
+                width: expected.shape()[2],
+            };
+            // In three segments, each with a base of its own.
+            let events = read("events");
+            let rows: Vec<_> = events.rows().into_iter().collect();
+            let segments: Vec<KeptEvents> = rows
+                .chunks(rows.len().div_ceil(3))
+                .map(|rows| {
+                    let base_us = rows[0][0] as u64 - 7;
+                    let events = rows.iter().map(|row| {
+                        event(
+                            (row[0] as u64 - base_us) as u32,
+                            row[1] as u16,
+                            row[2] as u16,
+                            row[3] == 1,
+                        )
+                    });
+                    let mut kept = KeptEvents::default();
+                    kept.keep(&events.collect::<Vec<_>>(), base_us, sensor);
+                    kept
+                })
+                .collect();
+            let mut grid = VoxelGrid::new(sensor, 5, padded).unwrap();
+            let hot = read("hot");
+            let hot: Vec<Pixel> = hot
+                .rows()
+                .into_iter()
+                .map(|p| Pixel {
+                    x: p[0] as u16,
+                    y: p[1] as u16,
+                })
+                .collect();
+            grid.mask(&hot);
+            grid.fill(segments.iter()).unwrap();
+            let expected = expected.as_slice().unwrap();
+            let worst = grid
+                .values()
+                .iter()
+                .zip(expected)
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f32::max);
+            assert!(worst < 2e-5, "{name}: they differ by {worst}");
+        }
+    }
+
     #[test]
     fn borders_are_reflected_and_cropped_back() {
         let padded = Sensor { height: 4, width: 6 };
