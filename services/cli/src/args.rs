@@ -576,7 +576,7 @@ impl PairArgs {
 pub(crate) struct EvaluateArgs {
     #[command(flatten)]
     pub(crate) pairs: PairArgs,
-    /// Where to write results.csv and results.json; an interrupted run goes on from what is there
+    /// Where to write report.html, results.csv and more; an interrupted run goes on from what is there
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,
     /// Ensembles: single, temporal, reconstruction, extractor, combined, or none; all when left out
@@ -603,6 +603,9 @@ pub(crate) struct EvaluateArgs {
     /// Also find the least confidence at which this share of the answers is right (thresholds.csv)
     #[arg(long, value_name = "P", value_parser = precision)]
     pub(crate) wanted_precision: Option<f64>,
+    /// Also learn weights of members from this pair's labels, and evaluate all pairs with them (weights learnt:PAIR)
+    #[arg(long, value_name = "PAIR")]
+    pub(crate) learn_weights: Option<String>,
     /// Also find how alike members are in what they see and get wrong, with the first method and length (members.json)
     #[arg(long)]
     pub(crate) likeness: bool,

@@ -4,7 +4,7 @@
 mod support;
 
 use evpr_evaluate::statistics::{comparisons, members};
-use evpr_evaluate::{Pair, Results, evaluate, thresholds};
+use evpr_evaluate::{Pair, Results, Spec, evaluate, learnt_weights, thresholds};
 use std::path::Path;
 use support::*;
 
@@ -145,4 +145,52 @@ fn members_are_most_like_themselves() {
         found.recall[0] > found.recall[3],
         "the last member has the most noise"
     );
+}
+
+#[test]
+fn learnt_weights_favour_what_is_right_more_often() {
+    let folder = tempfile::tempdir().unwrap();
+    let pairs = pairs(folder.path());
+    let mut results = Results::open(&folder.path().join("out"), &pairs).unwrap();
+    evaluate(&pairs, &spec(), &mut results, &()).unwrap();
+    let like = results.rows()[0].clone();
+    let weights = learnt_weights(&pairs[0], results.rows(), &like).unwrap();
+    assert!((weights.values().sum::<f64>() / 4.0 - 1.0).abs() < 1e-12);
+    let right = |member: &str| {
+        let row = results.rows().iter().find(|r| {
+            r.pair == "pair0" && r.subset == member && (&r.method, r.length) == (&like.method, like.length)
+        });
+        row.unwrap().measures.right
+    };
+    for (a, weight_a) in &weights {
+        for (b, weight_b) in &weights {
+            assert!(right(a) <= right(b) || weight_a >= weight_b, "{a} {b}");
+        }
+    }
+    let weighted = Spec {
+        weights: Some(("learnt:pair0".to_owned(), weights)),
+        ..spec()
+    };
+    let before = results.rows().len();
+    evaluate(&pairs, &weighted, &mut results, &()).unwrap();
+    assert_eq!(results.rows().len(), 2 * before);
+    // A single member is what it is, whatever its weight, unless that is 0.
+    for row in results
+        .rows()
+        .iter()
+        .filter(|r| r.members == 1 && r.weights != "equal" && r.measures.answered > 0)
+    {
+        let equal = results
+            .rows()
+            .iter()
+            .find(|r| r.key == row.key.replace("learnt:pair0", "equal"))
+            .unwrap();
+        assert_eq!(row.measures.right, equal.measures.right, "{}", row.key);
+    }
+    results.write_report(&comparisons(results.rows())).unwrap();
+    let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+    assert!(page.contains("pair2 combined") && !page.contains("{{") && !page.contains("NaN"));
+    let few: Vec<_> = results.rows().iter().filter(|r| r.members > 1).cloned().collect();
+    let error = learnt_weights(&pairs[0], &few, &like).unwrap_err().to_string();
+    assert!(error.contains("was not evaluated alone"), "{error}");
 }

@@ -6,13 +6,17 @@ use crate::output::say;
 use evpr_core::config::{RULES, SEQUENCE_METHODS, SIMILARITIES};
 use evpr_evaluate::statistics::{comparisons, members};
 use evpr_evaluate::{
-    Pair, PairSpec, PairsFile, Progress, Results, Row, Spec, SubsetChoice, SubsetKind, Truth, evaluate as run,
+    Pair, PairSpec, PairsFile, Progress, Results, Row, Spec, SubsetChoice, SubsetKind, Truth,
+    evaluate as run, learnt_weights,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use std::io::IsTerminal;
 use std::path::Path;
 use std::process::ExitCode;
+
+/// Most lines of the table.
+const MAX_LINES: usize = 60;
 
 /// `evpr evaluate`.
 pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
@@ -23,10 +27,16 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
     crate::output::refuse_input(&args.out, &inputs)?;
     let before = results.rows().len();
     let progress = Bar::new(args.quiet);
-    let evaluated = run(&pairs, &spec, &mut results, &progress);
+    let evaluated = run(&pairs, &spec, &mut results, &progress).map_err(Failure::from);
+    let evaluated = evaluated.and_then(|()| match &args.learn_weights {
+        Some(name) => weigh(&pairs, name, &spec, &mut results, &progress),
+        None => Ok(()),
+    });
     progress.bar.finish_and_clear();
     evaluated?;
-    results.write_statistics(&comparisons(results.rows()))?;
+    let compared = comparisons(results.rows());
+    results.write_statistics(&compared)?;
+    results.write_report(&compared)?;
     if let Some(wanted) = args.wanted_precision {
         results.write_thresholds(wanted)?;
     }
@@ -41,11 +51,50 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
         let rows = results.rows().len();
         eprintln!(
             "{}: {rows} configurations, {} of them new",
-            args.out.join("results.csv").display(),
+            args.out.join("report.html").display(),
             rows - before
         );
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Learns weights on a pair, for every similarity, method and length by themselves, and evaluates all pairs with them.
+fn weigh(
+    pairs: &[Pair],
+    name: &str,
+    spec: &Spec,
+    results: &mut Results,
+    progress: &Bar,
+) -> Result<(), Failure> {
+    let pair = pairs.iter().find(|p| p.name() == name).ok_or_else(|| {
+        let names: Vec<&str> = pairs.iter().map(Pair::name).collect();
+        Failure::usage(format!(
+            "--learn-weights {name}: no pair is named so; there are {}",
+            names.join(", ")
+        ))
+    })?;
+    let mut seen = Vec::new();
+    for c in spec.configurations(pair.members())? {
+        if seen.contains(&(c.similarity, c.method, c.length)) {
+            continue;
+        }
+        seen.push((c.similarity, c.method, c.length));
+        let key = c.key(name);
+        let like = results.rows().iter().find(|r| r.key == key).cloned();
+        let like = like.ok_or_else(|| Failure::new(format!("{key} was not evaluated")))?;
+        let weighted = Spec {
+            similarities: vec![c.similarity],
+            methods: vec![c.method],
+            lengths: vec![c.length],
+            weights: Some((
+                format!("learnt:{name}"),
+                learnt_weights(pair, results.rows(), &like)?,
+            )),
+            ..spec.clone()
+        };
+        run(pairs, &weighted, results, progress)?;
+    }
+    Ok(())
 }
 
 /// Opens all pairs that were asked for, and gives subsets that have a name.
@@ -189,8 +238,13 @@ fn show(rows: &[Row]) {
         "mean",
         "best"
     );
-    let mut rest = rows;
+    let (mut rest, mut lines) = (rows, 0);
     while let Some(first) = rest.first() {
+        lines += 1;
+        if lines > MAX_LINES {
+            say!("and more, in results.csv and report.html");
+            break;
+        }
         let alike = |r: &Row| {
             (&r.pair, &r.similarity, &r.method, r.length, &r.rule, &r.weights)
                 == (
