@@ -22,14 +22,19 @@ const MAX_LINES: usize = 60;
 pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
     let (pairs, named) = open_pairs(&args.pairs, args.quiet)?;
     let spec = spec(args, &named)?;
-    let mut results = Results::open(&args.out, &pairs)?;
     let inputs: Vec<&Path> = args.pairs.folders();
     crate::output::refuse_input(&args.out, &inputs)?;
+    let teacher = args
+        .learn_weights
+        .as_deref()
+        .map(|name| pair_named(&pairs, name))
+        .transpose()?;
+    let mut results = Results::open(&args.out, &pairs)?;
     let before = results.rows().len();
     let progress = Bar::new(args.quiet);
     let evaluated = run(&pairs, &spec, &mut results, &progress).map_err(Failure::from);
-    let evaluated = evaluated.and_then(|()| match &args.learn_weights {
-        Some(name) => weigh(&pairs, name, &spec, &mut results, &progress),
+    let evaluated = evaluated.and_then(|()| match teacher {
+        Some(teacher) => weigh(&pairs, teacher, &spec, &mut results, &progress),
         None => Ok(()),
     });
     progress.bar.finish_and_clear();
@@ -58,28 +63,33 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The pair of this name.
+fn pair_named<'a>(pairs: &'a [Pair], name: &str) -> Result<&'a Pair, Failure> {
+    let names = || pairs.iter().map(Pair::name).collect::<Vec<_>>().join(", ");
+    let found = pairs.iter().find(|p| p.name() == name);
+    found.ok_or_else(|| {
+        Failure::usage(format!(
+            "--learn-weights {name}: no pair is named so; there are {}",
+            names()
+        ))
+    })
+}
+
 /// Learns weights on a pair, for every similarity, method and length by themselves, and evaluates all pairs with them.
 fn weigh(
     pairs: &[Pair],
-    name: &str,
+    pair: &Pair,
     spec: &Spec,
     results: &mut Results,
     progress: &Bar,
 ) -> Result<(), Failure> {
-    let pair = pairs.iter().find(|p| p.name() == name).ok_or_else(|| {
-        let names: Vec<&str> = pairs.iter().map(Pair::name).collect();
-        Failure::usage(format!(
-            "--learn-weights {name}: no pair is named so; there are {}",
-            names.join(", ")
-        ))
-    })?;
     let mut seen = Vec::new();
     for c in spec.configurations(pair.members())? {
         if seen.contains(&(c.similarity, c.method, c.length)) {
             continue;
         }
         seen.push((c.similarity, c.method, c.length));
-        let key = c.key(name);
+        let key = c.key(pair.name());
         let like = results.rows().iter().find(|r| r.key == key).cloned();
         let like = like.ok_or_else(|| Failure::new(format!("{key} was not evaluated")))?;
         let weighted = Spec {
@@ -87,7 +97,7 @@ fn weigh(
             methods: vec![c.method],
             lengths: vec![c.length],
             weights: Some((
-                format!("learnt:{name}"),
+                format!("learnt:{}", pair.name()),
                 learnt_weights(pair, results.rows(), &like)?,
             )),
             ..spec.clone()
