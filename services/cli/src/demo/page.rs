@@ -2,9 +2,10 @@
 
 use super::frames::Place;
 use super::pictures::pass_title;
-use super::recall::{EnsembleKind, EnsembleRecall, KindRecall};
+use super::recall::{EnsembleRecall, KindRecall, kind_title};
 use super::results::Results;
 use evpr_core::plan::StreetPass;
+use evpr_evaluate::SubsetKind;
 use std::fmt::Write;
 
 /// The page, with `{{name}}` where something goes.
@@ -14,7 +15,7 @@ const TEMPLATE: &str = include_str!("../../assets/demo_report.html");
 pub(crate) fn write(results: &Results, place: &Place) -> String {
     let (scene, latency) = (&results.scene, &results.latency);
     let combined = |pass| {
-        let recall = results.recall_of(EnsembleKind::Combined, pass, scene.sequence_length);
+        let recall = results.recall_of(SubsetKind::Combined, pass, scene.sequence_length);
         format!("{:.2}", recall.map_or(0.0, |r| r.mean))
     };
     let median = latency.stages.last().map_or(0.0, |s| s.median_us / 1e3);
@@ -80,7 +81,7 @@ fn recall_table(results: &Results, length: usize) -> String {
     };
     let mean = |recall: Option<&KindRecall>| format!("<td>{:.3}</td>", recall.map_or(0.0, |r| r.mean));
     let mut rows = String::new();
-    for kind in EnsembleKind::ALL {
+    for kind in SubsetKind::PAPER {
         let (day, night) = (
             results.recall_of(kind, StreetPass::Day2, length),
             results.recall_of(kind, StreetPass::Night, length),
@@ -90,7 +91,7 @@ fn recall_table(results: &Results, length: usize) -> String {
         let _ = writeln!(
             rows,
             "<tr><td>{} <span class=\"best\">({count})</span></td>{}{}{}{}{}</tr>",
-            kind.title(),
+            kind_title(kind),
             share(day.and_then(KindRecall::best)),
             mean(day),
             share(night.and_then(KindRecall::best)),

@@ -7,6 +7,7 @@
 use crate::failure::Failure;
 use evpr_core::plan::StreetPass;
 use evpr_core::{MemberSet, Plan};
+use evpr_evaluate::{Subset, SubsetKind, subsets};
 use evpr_fuse::offline::{Query, answers};
 use evpr_fuse::{FuseError, Map};
 use evpr_store::{GroundTruth, StoreError, Traverse};
@@ -17,83 +18,17 @@ use std::path::Path;
 /// How far from the query's position the answered place may lie, metres.
 pub(crate) const TOLERANCE_M: f64 = 5.0;
 
-/// What the members of an ensemble have in common.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum EnsembleKind {
-    /// One member.
-    Single,
-    /// One reconstruction and one extractor, all windows.
-    Temporal,
-    /// One window and one extractor, all reconstructions.
-    Reconstruction,
-    /// One reconstruction and one window, all extractors.
-    Extractor,
-    /// All members.
-    Combined,
-}
-
-impl EnsembleKind {
-    /// All kinds, smallest first.
-    pub(crate) const ALL: [Self; 5] = [
-        Self::Single,
-        Self::Temporal,
-        Self::Reconstruction,
-        Self::Extractor,
-        Self::Combined,
-    ];
-
-    /// For people.
-    pub(crate) fn title(self) -> &'static str {
-        match self {
-            Self::Single => "single member",
-            Self::Temporal => "temporal",
-            Self::Reconstruction => "reconstruction",
-            Self::Extractor => "extractor",
-            Self::Combined => "combined",
-        }
+/// A kind of ensembles, for people.
+pub(crate) fn kind_title(kind: SubsetKind) -> &'static str {
+    match kind {
+        SubsetKind::Single => "single member",
+        kind => kind.name(),
     }
-}
-
-/// An ensemble.
-#[derive(Debug, Clone)]
-pub(crate) struct Ensemble {
-    pub(crate) kind: EnsembleKind,
-    /// `event_count@*/hog`: a star stands for all.
-    pub(crate) name: String,
-    pub(crate) members: MemberSet,
 }
 
 /// All ensembles of a plan, the kinds in their order.
-pub(crate) fn ensembles(plan: &Plan) -> Vec<Ensemble> {
-    let mut all: Vec<Ensemble> = Vec::new();
-    for kind in EnsembleKind::ALL {
-        let (keep_r, keep_w, keep_e) = match kind {
-            EnsembleKind::Single => (true, true, true),
-            EnsembleKind::Temporal => (true, false, true),
-            EnsembleKind::Reconstruction => (false, true, true),
-            EnsembleKind::Extractor => (true, true, false),
-            EnsembleKind::Combined => (false, false, false),
-        };
-        for (index, member) in plan.members.iter().enumerate() {
-            let part = |keep: bool, name: &str| if keep { name.to_owned() } else { "*".to_owned() };
-            let name = format!(
-                "{}@{}/{}",
-                part(keep_r, &plan.reconstructions[member.reconstruction].id),
-                part(keep_w, &plan.slicing.window_id(member.window)),
-                part(keep_e, &plan.extractors[member.extractor].id),
-            );
-            match all.iter_mut().find(|e| e.kind == kind && e.name == name) {
-                Some(ensemble) => ensemble.members.set(index, true),
-                None => all.push(Ensemble {
-                    kind,
-                    name,
-                    members: std::iter::once(index).collect(),
-                }),
-            }
-        }
-    }
-    all
+pub(crate) fn ensembles(plan: &Plan) -> Vec<Subset> {
+    subsets(plan.members.iter().map(|m| m.name.as_str()), &SubsetKind::PAPER)
 }
 
 /// A recorded drive and the map it is compared with, with the positions of both.
@@ -207,7 +142,7 @@ pub(crate) struct EnsembleRecall {
 /// How well the ensembles of one kind did on one drive.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct KindRecall {
-    pub(crate) kind: EnsembleKind,
+    pub(crate) kind: SubsetKind,
     pub(crate) pass: StreetPass,
     /// Sequence length L, ticks.
     pub(crate) length: usize,
@@ -246,7 +181,7 @@ pub(crate) fn measure(recorded: &Recorded, length: usize) -> Result<Vec<KindReca
         })
         .collect();
     let measured = measured?;
-    let of_kind = |kind: EnsembleKind| {
+    let of_kind = |kind: SubsetKind| {
         let mut ensembles: Vec<EnsembleRecall> = std::iter::zip(&all, &measured)
             .filter(|(e, _)| e.kind == kind)
             .map(|(_, recall)| recall.clone())
@@ -262,7 +197,7 @@ pub(crate) fn measure(recorded: &Recorded, length: usize) -> Result<Vec<KindReca
             ensembles,
         }
     };
-    Ok(EnsembleKind::ALL.map(of_kind).into())
+    Ok(SubsetKind::PAPER.map(of_kind).into())
 }
 
 #[cfg(test)]
@@ -279,8 +214,8 @@ mod tests {
         let plan = setup.mapping(Path::new("record")).unwrap();
         let all = ensembles(&plan);
         let expected = [(36, 1), (9, 4), (12, 3), (12, 3), (1, 36)];
-        for (kind, (count, size)) in EnsembleKind::ALL.into_iter().zip(expected) {
-            let of_kind: Vec<&Ensemble> = all.iter().filter(|e| e.kind == kind).collect();
+        for (kind, (count, size)) in SubsetKind::PAPER.into_iter().zip(expected) {
+            let of_kind: Vec<&Subset> = all.iter().filter(|e| e.kind == kind).collect();
             assert_eq!(of_kind.len(), count, "{kind:?}");
             assert!(of_kind.iter().all(|e| e.members.len() == size), "{kind:?}");
             let covered: MemberSet = of_kind

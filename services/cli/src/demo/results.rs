@@ -1,10 +1,11 @@
 //! All numbers of a demonstration: as `results.json`, and as a table for people.
 
 use super::latency::Latency;
-use super::recall::{EnsembleKind, EnsembleRecall, KindRecall};
+use super::recall::{EnsembleRecall, KindRecall, kind_title};
 use crate::output::say;
 use evpr_core::Plan;
 use evpr_core::plan::StreetPass;
+use evpr_evaluate::SubsetKind;
 use serde::Serialize;
 
 /// Version of the layout of `results.json`.
@@ -112,19 +113,14 @@ impl Results {
     }
 
     /// Recall of a kind of ensembles on a drive.
-    pub(crate) fn recall_of(
-        &self,
-        kind: EnsembleKind,
-        pass: StreetPass,
-        length: usize,
-    ) -> Option<&KindRecall> {
+    pub(crate) fn recall_of(&self, kind: SubsetKind, pass: StreetPass, length: usize) -> Option<&KindRecall> {
         let mut recall = self.recall.iter();
         recall.find(|r| r.kind == kind && r.pass == pass && r.length == length)
     }
 
     /// How the ensemble of a kind that is best by day does by night: what one gets who chooses by day. Of equals the
     /// first of the plan.
-    pub(crate) fn chosen_by_day(&self, kind: EnsembleKind, length: usize) -> Option<&EnsembleRecall> {
+    pub(crate) fn chosen_by_day(&self, kind: SubsetKind, length: usize) -> Option<&EnsembleRecall> {
         let chosen = self.recall_of(kind, StreetPass::Day2, length)?.best()?;
         let by_night = self.recall_of(kind, StreetPass::Night, length)?;
         by_night.ensembles.iter().find(|e| e.name == chosen.name)
@@ -140,7 +136,7 @@ impl Results {
 
     fn show_recall(&self, length: usize) {
         let (tolerance_m, ticks) = (self.scene.tolerance_m, |pass| {
-            let recall = self.recall_of(EnsembleKind::Combined, pass, length);
+            let recall = self.recall_of(SubsetKind::Combined, pass, length);
             recall.map_or(0, |r| r.ticks)
         });
         let sequences = match length {
@@ -160,7 +156,7 @@ impl Results {
             "mean",
             "day's best"
         );
-        for kind in EnsembleKind::ALL {
+        for kind in SubsetKind::PAPER {
             let of = |pass| self.recall_of(kind, pass, length);
             let (Some(day), Some(night)) = (of(StreetPass::Day2), of(StreetPass::Night)) else {
                 continue;
@@ -168,7 +164,7 @@ impl Results {
             let share = |recall: Option<&EnsembleRecall>| recall.map_or(0.0, |e| e.recall_at_1);
             say!(
                 "  {:<24}{:>10.3}{:>8.3}{:>12.3}{:>8.3}{:>12.3}",
-                format!("{} ({})", kind.title(), day.ensembles.len()),
+                format!("{} ({})", kind_title(kind), day.ensembles.len()),
                 share(day.best()),
                 day.mean,
                 share(night.best()),

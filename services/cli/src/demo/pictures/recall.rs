@@ -1,10 +1,11 @@
 //! Recall@1 of every kind of ensembles, by day and by night.
 
 use super::{FAINT, GRID, INK, LABEL, SMALL, TITLE, canvas, centred, finish, pass_color, pass_title, text};
-use crate::demo::recall::{EnsembleKind, KindRecall};
+use crate::demo::recall::{KindRecall, kind_title};
 use crate::demo::results::Results;
 use crate::failure::Failure;
 use evpr_core::plan::StreetPass;
+use evpr_evaluate::SubsetKind;
 use plotters::prelude::*;
 use std::path::Path;
 
@@ -39,7 +40,7 @@ pub(crate) fn draw(path: &Path, results: &Results) -> Result<(), Failure> {
     let explained = "bar: mean of the ensembles of a kind; point: each of them; number: the best";
     head.draw_text(explained, &text(SMALL, FAINT), (30, 144))?;
 
-    let kinds = EnsembleKind::ALL;
+    let kinds = SubsetKind::PAPER;
     let mut chart = ChartBuilder::on(&body)
         .margin_left(16)
         .margin_right(30)
@@ -80,7 +81,7 @@ pub(crate) fn draw(path: &Path, results: &Results) -> Result<(), Failure> {
             .recall_of(kind, PASSES[0], length)
             .map_or(0, |r| r.ensembles.len());
         let (left, bottom) = chart.backend_coord(&(at as f64, 0.0));
-        canvas.draw_text(kind.title(), &centred(LABEL, INK), (left, bottom + 30))?;
+        canvas.draw_text(kind_title(kind), &centred(LABEL, INK), (left, bottom + 30))?;
         canvas.draw_text(&ensembles(count), &centred(SMALL, FAINT), (left, bottom + 62))?;
     }
     finish(&canvas, path)
