@@ -14,5 +14,6 @@ mod live;
 mod members;
 mod networks;
 mod noise;
+mod profile;
 mod replay;
 mod support;

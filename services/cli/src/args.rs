@@ -60,6 +60,10 @@ pub(crate) enum Command {
     Evaluate(EvaluateArgs),
     /// The members that recognise most for a given time per tick
     Choose(ChooseArgs),
+    /// How a running instance is: processes, times, members
+    Status(InstanceArgs),
+    /// Record what the processes of a running instance do when, for ui.perfetto.dev
+    Trace(TraceArgs),
     /// The sequence matcher alone: a similarity matrix in, matched scores out
     SequenceMatch(SequenceMatchArgs),
     /// Check a configuration; prints all mistakes at once
@@ -249,6 +253,12 @@ pub(crate) struct RunArgs {
     /// Also record the rows of this run as a traverse
     #[arg(short, long, value_name = "DIR")]
     pub(crate) record: Option<PathBuf>,
+    /// Also serve metrics for Prometheus at this address, such as 127.0.0.1:9464, under /metrics
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) metrics: Option<std::net::SocketAddr>,
+    /// Also write what every process does when, for ui.perfetto.dev
+    #[arg(long, value_name = "FILE")]
+    pub(crate) trace: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -754,6 +764,19 @@ pub(crate) struct InstanceArgs {
     /// As JSON
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct TraceArgs {
+    /// Name of the running instance
+    #[arg(long, value_name = "NAME", default_value = "evpr")]
+    pub(crate) name: String,
+    /// The trace to write: JSON
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) out: PathBuf,
+    /// For how long; it ends earlier with the instance, or by Ctrl-C
+    #[arg(short, long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    pub(crate) duration: u64,
 }
 
 #[derive(Debug, Subcommand)]

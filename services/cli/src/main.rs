@@ -13,6 +13,7 @@ mod frames_npy;
 mod matches;
 mod output;
 mod preset;
+mod profile;
 mod progress;
 
 use clap::Parser;

@@ -268,9 +268,13 @@ impl Extract {
                 Err(e) => Err(e.to_string()),
             };
             match row {
-                Ok((row, length)) => outlet.emit(self.header(header, *member), row.len(), &mut |out| {
-                    network::write_unit(row, length, out);
-                })?,
+                Ok((row, length)) => {
+                    let mut header = self.header(header, *member);
+                    header.together = frames.len() as u32;
+                    outlet.emit(header, row.len(), &mut |out| {
+                        network::write_unit(row, length, out)
+                    })?;
+                }
                 Err(problem) => {
                     self.emit_none(header, *member, Reason::Failed, outlet)?;
                     failed = Some(self.skip(header, &problem));
@@ -287,6 +291,7 @@ impl Extract {
             epoch: frame.epoch,
             member,
             dim: self.dim as u32,
+            together: 1,
             reconstruct_service: frame.stamp.service,
             reconstruct_incarnation: frame.stamp.incarnation,
             ..DescriptorHeader::default()

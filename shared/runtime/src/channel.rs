@@ -3,8 +3,9 @@
 
 use crate::clock::now_ns;
 use crate::run::Identity;
+use crate::telemetry::Activity;
 use crate::{RuntimeError, Stop};
-use evpr_core::message::{Header, Message};
+use evpr_core::message::{Header, Histogram, Message, Span, SpanKind};
 use evpr_core::plan::{Channel, Topic};
 use evpr_core::stage::{Outlet, StageError};
 use iceoryx2::port::BackpressureAction;
@@ -108,6 +109,17 @@ impl<M: Message> ChannelServices<M> {
     }
 }
 
+/// What a sender has noted.
+#[derive(Debug, Default)]
+pub(crate) struct Record {
+    /// Of each message: handing it over, waiting for room included.
+    pub(crate) sending: Histogram,
+    /// Whether spans are wanted.
+    pub(crate) traced: bool,
+    /// One per message, until they are taken away.
+    pub(crate) spans: Vec<Span>,
+}
+
 /// The sending end of a channel.
 #[derive(Debug)]
 pub(crate) struct ChannelSender<M: Message> {
@@ -118,22 +130,25 @@ pub(crate) struct ChannelSender<M: Message> {
     identity: Identity,
     seq: u64,
     stop: Stop,
-    /// When the stage took up the input that it works on.
+    activity: Arc<Activity>,
+    /// When the work on the next message began: the stage took up its input, or had sent the message before.
     pub(crate) started_ns: u64,
     /// Messages sent.
     pub(crate) sent: u64,
+    pub(crate) record: Record,
     // The publisher does not keep its service alive by itself.
-    _services: ChannelServices<M>,
+    services: ChannelServices<M>,
 }
 
 impl<M: Message> ChannelSender<M> {
     /// `stop_at` is how many stop requests it takes to give up waiting for room: ingest still sends its end after
-    /// the first.
+    /// the first. `activity` is told when it waits for room.
     pub(crate) fn new(
         services: ChannelServices<M>,
         identity: Identity,
         stop: &Stop,
         stop_at: u32,
+        activity: Arc<Activity>,
     ) -> Result<Self, RuntimeError> {
         let channel = services.channel.clone();
         let topic = channel.topic.clone();
@@ -154,11 +169,12 @@ impl<M: Message> ChannelSender<M> {
             .map(Arc::new);
         let publisher = match &room {
             Some(room) => {
-                let (flag, room) = (stop.clone(), room.clone());
+                let (flag, room, activity) = (stop.clone(), room.clone(), activity.clone());
                 builder.set_backpressure_handler(move |_| {
                     if flag.count() >= stop_at {
                         return BackpressureAction::DiscardDataAndFail;
                     }
+                    activity.block();
                     // A wait that fails leaves iceoryx2's own back-off between the retries.
                     let _ = room.timed_wait(|_| {}, BLOCKED_RECHECK);
                     BackpressureAction::Retry
@@ -188,10 +204,17 @@ impl<M: Message> ChannelSender<M> {
             identity,
             seq: 0,
             stop: stop.clone(),
+            activity,
             started_ns: 0,
             sent: 0,
-            _services: services,
+            record: Record::default(),
+            services,
         })
+    }
+
+    /// Whether anybody reads the channel now.
+    pub(crate) fn is_heard(&self) -> bool {
+        self.services.data.dynamic_config().number_of_subscribers() > 0
     }
 }
 
@@ -261,10 +284,34 @@ impl<M: Message> Outlet<M> for ChannelSender<M> {
         header.mark(self.started_ns, now);
         *header.stamp_mut() = self.identity.stamp(self.seq, now, len);
         *sample.user_header_mut() = header;
+        let (tick, closed_ns, part, together) = (
+            header.tick(),
+            header.closed_ns(),
+            header.part(),
+            header.together(),
+        );
         match sample.send() {
             Ok(_) => {}
             Err(_) if self.stop.requested() => return Err(StageError::Stopped),
             Err(e) => return Err(broken("cannot send", &e)),
+        }
+        let sent = now_ns();
+        self.activity.unblock(sent);
+        self.record.sending.record(sent.saturating_sub(now));
+        if self.record.traced {
+            self.record.spans.push(Span {
+                sent_ns: now,
+                start_ns: self.started_ns.min(now),
+                end_ns: sent,
+                tick,
+                closed_ns,
+                kind: SpanKind::Output as u32,
+                part,
+            });
+        }
+        // What is computed at once has one beginning.
+        if together <= 1 {
+            self.started_ns = sent;
         }
         self.seq += 1;
         self.sent += 1;

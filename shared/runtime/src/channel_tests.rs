@@ -49,7 +49,14 @@ fn sender(node: &Node<Ipc>, channel: &Channel, stop: &Stop, incarnation: u32) ->
         service: 0,
         incarnation,
     };
-    ChannelSender::new(ChannelServices::open(node, channel).unwrap(), identity, stop, 1).unwrap()
+    ChannelSender::new(
+        ChannelServices::open(node, channel).unwrap(),
+        identity,
+        stop,
+        1,
+        Default::default(),
+    )
+    .unwrap()
 }
 
 fn receiver(node: &Node<Ipc>, channel: &Channel) -> ChannelReceiver<Chunks> {

@@ -3,6 +3,7 @@
 use crate::RuntimeError;
 use crate::channel::WakeSender;
 use crate::domain::RunFolder;
+use crate::profile::Status;
 use crossbeam::channel::{Receiver, Sender, bounded};
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -25,6 +26,8 @@ const MAX_REQUEST_BYTES: u64 = 64 << 10;
 pub enum ControlRequest {
     /// The members with their settings.
     List,
+    /// How everything is: see [`Status`].
+    Status,
     /// Changes members from the next tick on.
     Set {
         /// Names; `all` stands for every member.
@@ -37,7 +40,7 @@ pub enum ControlRequest {
 }
 
 /// One member's settings.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct MemberState {
     /// Its name.
     pub name: String,
@@ -56,6 +59,9 @@ pub struct ControlReply {
     pub members: Vec<MemberState>,
     /// The first tick at which a change is in force everywhere; none when no tick has opened since.
     pub from_tick: Option<u64>,
+    /// How everything is, if that was asked.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub status: Option<Box<Status>>,
 }
 
 impl ControlReply {
@@ -75,6 +81,11 @@ pub(crate) struct Asked {
 }
 
 impl Asked {
+    /// Answers the client; one that has gone is its own affair.
+    pub(crate) fn answer(self, reply: ControlReply) {
+        let _ = self.reply.send(reply);
+    }
+
     /// Sends the client away: the run is ending.
     pub(crate) fn refuse(self) {
         let _ = self

@@ -108,6 +108,15 @@ impl RunFolder {
         self.path.join("control.sock")
     }
 
+    /// That no instance runs here.
+    pub(crate) fn is_not_running(&self) -> RuntimeError {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        RuntimeError::Folder(format!(
+            "no instance named \"{name}\" is running ({})",
+            self.path.display()
+        ))
+    }
+
     fn ipc_root(&self) -> PathBuf {
         self.path.join("ipc")
     }

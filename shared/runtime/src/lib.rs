@@ -9,20 +9,24 @@ mod channel_tests;
 mod clock;
 mod control;
 mod domain;
+mod profile;
 mod run;
 mod shm;
 mod stop;
 mod supervise;
 mod telemetry;
+mod trace;
 mod wait;
 
 pub use clock::now_ns;
 pub use control::{ControlReply, ControlRequest, MemberState, request};
 pub use domain::{RunFolder, RunSpec};
+pub use profile::{LatencyStatus, MemberStatus, Quantiles, ServiceStatus, Status, Times};
 pub use run::{Identity, ServiceContext, run_ingest, run_sink, run_stage};
 pub use shm::{ShmRoom, room};
 pub use stop::Stop;
 pub use supervise::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport, Spawn, Supervisor};
+pub use trace::TraceReader;
 
 /// What can go wrong around the stages: one line saying what was wrong and what to do.
 #[derive(Debug, thiserror::Error)]

@@ -53,6 +53,22 @@ impl Stop {
         }
     }
 
+    /// A flag that SIGTERM and SIGINT raise, until the process ends.
+    ///
+    /// # Errors
+    /// When signals cannot be listened for.
+    pub fn on_signals() -> Result<Self, RuntimeError> {
+        let stop = Self::new();
+        let mut signals = Signals::new([SIGTERM, SIGINT])
+            .map_err(|e| RuntimeError::Process(format!("cannot listen for signals: {e}")))?;
+        let raised = stop.clone();
+        std::thread::Builder::new()
+            .name("signals".to_owned())
+            .spawn(move || signals.forever().for_each(|_| raised.raise()))
+            .map_err(|e| RuntimeError::Process(format!("cannot start a thread: {e}")))?;
+        Ok(stop)
+    }
+
     /// One request to stop.
     pub fn raise(&self) {
         self.requests.fetch_add(1, Ordering::AcqRel);

@@ -29,7 +29,7 @@ fn build(args: &MapBuildArgs) -> Result<ExitCode, Failure> {
         &args.graph.config.config,
         &overrides(&args.graph, &None, &Some(args.out.clone())),
     )?;
-    let code = supervise(plan, None, &args.graph, "mapping")?;
+    let code = supervise(plan, None, None, &args.graph, "mapping")?;
     if !args.out.exists() {
         eprintln!(
             "{}: stopped before the first tick was complete; there is no map",

@@ -45,6 +45,7 @@ fn ask(instance: &InstanceArgs, request: &ControlRequest) -> Result<ExitCode, Fa
             }
         }
         (ControlRequest::Set { .. }, Some(tick)) => say!("in force from tick {tick} on"),
+        (ControlRequest::Status, _) => {}
         (ControlRequest::Set { .. }, None) => {
             say!("accepted, but no tick has opened since; it takes effect with the next one that does")
         }

@@ -13,8 +13,11 @@ mod models;
 pub(crate) mod run;
 mod sequence_match;
 mod service;
+mod status;
+mod trace;
 
 pub(crate) use events::Crop;
+pub(crate) use status::ask as ask_status;
 
 use crate::args::{Args, Command, CompletionArgs};
 use crate::failure::Failure;
@@ -35,6 +38,8 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::Member(command) => member::member(command),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Choose(args) => choose::choose(&args),
+        Command::Status(args) => status::status(&args),
+        Command::Trace(args) => trace::trace(&args),
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),
         Command::Graph(args) => graph::graph(&args),

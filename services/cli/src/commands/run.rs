@@ -5,11 +5,13 @@ use crate::catalog;
 use crate::failure::Failure;
 use crate::matches::MatchWriter;
 use crate::output::refuse_input;
+use crate::profile::metrics::MetricsServer;
+use crate::profile::trace::TraceWriter;
 use crate::progress;
 use crate::{LOG_VARIABLE, QUIET_LOG};
 use evpr_core::Plan;
 use evpr_core::config::Overrides;
-use evpr_core::message::{Candidate, MatchHeader};
+use evpr_core::message::{Candidate, MatchHeader, Span};
 use evpr_core::plan::{Delivery, Service, ServiceKind};
 use evpr_runtime::{Hooks, Outcome, Progress, RunFolder, RunSummary, Spawn, Supervisor};
 use indicatif::ProgressBar;
@@ -46,7 +48,22 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         Some(_) => Some(MatchWriter::open(args.out.as_deref()).map_err(Failure::new)?),
         None => None,
     };
-    supervise(plan, writer, &args.graph, "matching")
+    let trace = match &args.trace {
+        Some(path) => {
+            let read = [Some(plan.source.path.as_path()), plan.map.as_deref()];
+            refuse_input(path, &read.into_iter().flatten().collect::<Vec<_>>())?;
+            Some(TraceWriter::create(path, &plan).map_err(Failure::new)?)
+        }
+        None => None,
+    };
+    let metrics = args
+        .metrics
+        .map(|address| MetricsServer::start(address, &plan.name));
+    let metrics = metrics.transpose()?;
+    if let Some(server) = &metrics {
+        tracing::info!("metrics at http://{}/metrics", server.address());
+    }
+    supervise(plan, writer, trace, &args.graph, "matching")
 }
 
 /// The command line's part of the plan.
@@ -68,6 +85,7 @@ pub(crate) fn overrides(args: &GraphRunArgs, map: &Option<PathBuf>, record: &Opt
 struct CliHooks {
     plan: Plan,
     writer: Option<MatchWriter>,
+    trace: Option<TraceWriter>,
     bar: ProgressBar,
 }
 
@@ -82,12 +100,23 @@ impl Hooks for CliHooks {
     fn progress(&mut self, progress: &Progress) {
         progress::show(&self.bar, progress);
     }
+
+    fn wants_spans(&self) -> bool {
+        self.trace.is_some()
+    }
+
+    fn spans(&mut self, service: usize, spans: &[Span]) {
+        if let Some(trace) = &mut self.trace {
+            trace.write(service, spans);
+        }
+    }
 }
 
 /// Runs a plan to its end, with a progress bar, and says what came of it.
 pub(crate) fn supervise(
     plan: Plan,
     writer: Option<MatchWriter>,
+    trace: Option<TraceWriter>,
     args: &GraphRunArgs,
     what: &str,
 ) -> Result<ExitCode, Failure> {
@@ -95,11 +124,14 @@ pub(crate) fn supervise(
     let mut hooks = CliHooks {
         plan: plan.clone(),
         writer,
+        trace,
         bar: progress::bar(quiet, what),
     };
     let summary = run_graph(&plan, quiet, &mut hooks);
     hooks.bar.finish_and_clear();
+    let traced = hooks.trace.take().map(TraceWriter::finish).transpose();
     let summary = summary?;
+    traced.map_err(Failure::new)?;
     // Of a run that failed at its start there is nothing to tell.
     let failed_at_start = summary.outcome == Outcome::Failed && summary.answers.max(recorded(&summary)) == 0;
     if !quiet && !failed_at_start {

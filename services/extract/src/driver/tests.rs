@@ -71,6 +71,7 @@ fn a_frame_becomes_a_row_of_its_member() {
     assert_eq!((emitted.len(), skipped), (1, None));
     let (got, row) = &emitted[0];
     let expected = DescriptorHeader {
+        together: 1,
         tick: 7,
         life: header.life,
         epoch: 2,

@@ -61,7 +61,7 @@ impl ChunkHeader {
     }
 }
 
-header!(ChunkHeader, tick: tick);
+header!(ChunkHeader, tick: tick; closed_ns: |h| h.closed_ns, part: |h| h.closes);
 
 /// Chunks of events.
 #[derive(Debug)]

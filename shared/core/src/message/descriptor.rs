@@ -8,7 +8,7 @@ use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 /// Header of a descriptor. The payload is the row (`dim` floats), empty when `reason` is not 0.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[type_name("evpr.DescriptorHeader.1")]
+#[type_name("evpr.DescriptorHeader.2")]
 pub struct DescriptorHeader {
     /// Sender (the extractor) and sequence.
     pub stamp: Stamp,
@@ -28,12 +28,16 @@ pub struct DescriptorHeader {
     pub reconstruct_service: u32,
     /// How often that service had been started.
     pub reconstruct_incarnation: u32,
+    /// Rows that were computed at once with this one, itself included.
+    pub together: u32,
+    /// Unused.
+    pub _pad: u32,
 }
 
 header!(DescriptorHeader, tick: tick, mark: |h, started, finished| {
     h.life.extract_started_ns = started;
     h.life.extracted_ns = finished;
-});
+}; closed_ns: |h| h.life.closed_ns, part: |h| h.member, together: |h| h.together);
 
 /// Descriptors.
 #[derive(Debug)]

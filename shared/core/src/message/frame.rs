@@ -69,7 +69,7 @@ pub struct FrameHeader {
 header!(FrameHeader, tick: tick, mark: |h, started, finished| {
     h.life.reconstruct_started_ns = started;
     h.life.reconstructed_ns = finished;
-});
+}; closed_ns: |h| h.life.closed_ns, part: |h| h.reconstruction << 16 | h.window);
 
 /// Frames.
 #[derive(Debug)]

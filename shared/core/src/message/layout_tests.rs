@@ -19,8 +19,8 @@ fn layouts_are_as_published() {
     layout!(ChunkHeader, 112,  stamp: 0, tick: 40, base_us: 48, closed_ns: 56, epoch: 64, segment: 68, flags: 72, closes: 76, members: 80);
     layout!(FrameHeader, 128,  stamp: 0, tick: 40, events: 48, life: 56, epoch: 96, reconstruction: 100, window: 104,
         height: 108, width: 112, channel_order: 116, reason: 120, extractors: 124);
-    layout!(DescriptorHeader, 112,  stamp: 0, tick: 40, life: 48, epoch: 88, member: 92, reason: 96, dim: 100,
-        reconstruct_service: 104, reconstruct_incarnation: 108);
+    layout!(DescriptorHeader, 120,  stamp: 0, tick: 40, life: 48, epoch: 88, member: 92, reason: 96, dim: 100,
+        reconstruct_service: 104, reconstruct_incarnation: 108, together: 112);
     layout!(TickHeader, 136,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, east_m: 72, north_m: 80,
         control_version: 88, members: 96, epoch: 128, kind: 132);
     layout!(MemberSetting, 16, weight: 0, enabled: 8);
@@ -33,8 +33,12 @@ fn layouts_are_as_published() {
         candidates: 140, control_version: 144, ends: 152);
     layout!(LiveStats, 88, is_live: 0, connected: 4, dropped_ticks: 8, missed_ticks: 16, lost_events: 24, late_events: 32,
         disconnects: 40, jumps: 48, offset_ns: 56, drift_ppb: 64, delay_p50_ns: 72, delay_p99_ns: 80);
-    layout!(StatsHeader, 2872,  stamp: 0, phase: 40, pid: 44, next_tick: 48, received: 56, emitted: 64, skipped: 72,
-        dropped: 80, refused: 88, events: 96, progress_permille: 104, live: 112, waiting: 200, processing: 1536);
+    layout!(StatsHeader, 5560,  stamp: 0, phase: 40, pid: 44, next_tick: 48, received: 56, emitted: 64, skipped: 72,
+        dropped: 80, refused: 88, events: 96, progress_permille: 104, live: 112, doing: 200, progress_ns: 208, waiting: 216,
+        processing: 1552, sending: 2888, age: 4224);
+    layout!(MemberCost, 24, rows: 0, reconstruct_ns: 8, extract_ns: 16);
+    layout!(Span, 48, sent_ns: 0, start_ns: 8, end_ns: 16, tick: 24, closed_ns: 32, kind: 40, part: 44);
+    layout!(SpansHeader, 40, stamp: 0);
 }
 
 #[test]

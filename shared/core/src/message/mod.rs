@@ -11,6 +11,7 @@ mod frame;
 mod layout_tests;
 mod lifecycle;
 mod matched;
+mod span;
 mod stamp;
 mod stats;
 mod tick;
@@ -21,8 +22,9 @@ pub use event::Event;
 pub use frame::{ChannelOrder, FrameHeader, Frames};
 pub use lifecycle::{Lifecycle, LifecycleHeader, ServiceHealth, ServiceState};
 pub use matched::{Candidate, MatchHeader, Matches};
+pub use span::{Span, SpanKind, Spans, SpansHeader};
 pub use stamp::{Life, Stamp};
-pub use stats::{Histogram, LiveStats, ServicePhase, Stats, StatsHeader};
+pub use stats::{Doing, Histogram, LiveStats, MemberCost, ServicePhase, Stats, StatsHeader};
 pub use tick::{Control, ControlHeader, MemberSetting, TickHeader, TickKind, Ticks};
 
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
@@ -43,13 +45,27 @@ pub trait Header: Copy + Default + std::fmt::Debug + ZeroCopySend + 'static {
     fn stamp_mut(&mut self) -> &mut Stamp;
     /// The tick that the message belongs to; 0 where ticks mean nothing.
     fn tick(&self) -> u64;
+    /// When the window that the message belongs to was known to be over (host monotonic ns); 0 where it belongs to none,
+    /// or none is over.
+    fn closed_ns(&self) -> u64 {
+        0
+    }
+    /// Which part of its tick it is: chunks: the windows that it closes, as bits; frames: reconstruction << 16 | window;
+    /// rows: the member.
+    fn part(&self) -> u32 {
+        0
+    }
+    /// How many messages were computed at once with this one, itself included.
+    fn together(&self) -> u32 {
+        1
+    }
     /// Notes when the sending stage started on its input and when it finished (host monotonic ns).
     fn mark(&mut self, _started_ns: u64, _finished_ns: u64) {}
 }
 
-/// Implements [`Header`] for a struct with a `stamp` field and, where given, a `tick` field.
+/// Implements [`Header`] for a struct with a `stamp` field and, where given, a `tick` field, and what else it overrides.
 macro_rules! header {
-    ($name:ty $(, tick: $tick:ident)? $(, mark: $mark:expr)?) => {
+    ($name:ty $(, tick: $tick:ident)? $(, mark: $mark:expr)? $(; $($also:ident: $value:expr),+)?) => {
         impl $crate::message::Header for $name {
             fn stamp(&self) -> &$crate::message::Stamp {
                 &self.stamp
@@ -64,9 +80,16 @@ macro_rules! header {
                 let mark: fn(&mut $name, u64, u64) = $mark;
                 mark(self, started_ns, finished_ns);
             })?
+            $($(fn $also(&self) -> header!(@type $also) {
+                let value: fn(&$name) -> header!(@type $also) = $value;
+                value(self)
+            })+)?
         }
     };
     (@tick $self:ident $tick:ident) => { $self.$tick };
     (@tick $self:ident) => { 0 };
+    (@type closed_ns) => { u64 };
+    (@type part) => { u32 };
+    (@type together) => { u32 };
 }
 pub(crate) use header;

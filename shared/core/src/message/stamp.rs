@@ -32,11 +32,11 @@ pub struct Stamp {
 pub struct Life {
     /// Ingest knew that the window was over.
     pub closed_ns: u64,
-    /// The reconstruction took up the closing chunk.
+    /// The reconstruction took up the closing chunk, or was done with the frame before this one of the same chunk.
     pub reconstruct_started_ns: u64,
     /// The frame was written.
     pub reconstructed_ns: u64,
-    /// The extractor took up the frame.
+    /// The extractor took up the frame; where several are computed at once, began to compute.
     pub extract_started_ns: u64,
     /// The row was written.
     pub extracted_ns: u64,

@@ -20,6 +20,40 @@ pub enum ServicePhase {
     Stopped = 3,
 }
 
+/// What the main loop of a process is doing. Stored as its number.
+#[repr(u32)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Doing {
+    /// Loading what it works with, or meeting the others.
+    #[default]
+    Loading = 0,
+    /// Waiting for input, or for the time when it is due.
+    Waiting = 1,
+    /// Computing or reading.
+    Working = 2,
+    /// Waiting for room in a full channel: whoever reads it is slower.
+    Blocked = 3,
+}
+
+impl Doing {
+    /// What has this number.
+    pub fn from_code(code: u32) -> Option<Self> {
+        [Self::Loading, Self::Waiting, Self::Working, Self::Blocked]
+            .into_iter()
+            .find(|d| *d as u32 == code)
+    }
+
+    /// One word for a person.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Loading => "loading",
+            Self::Waiting => "waiting",
+            Self::Working => "working",
+            Self::Blocked => "blocked",
+        }
+    }
+}
+
 const SUB_BITS: u32 = 3;
 const OCTAVES: usize = 40;
 const BUCKETS: usize = (OCTAVES + 1) << SUB_BITS;
@@ -92,6 +126,23 @@ impl Histogram {
         self.max_ns
     }
 
+    /// The values that came after `earlier`, an older state of this histogram. The largest of them is known to 1/8 of
+    /// its value only.
+    pub fn since(&self, earlier: &Self) -> Self {
+        let mut later = Self {
+            count: self.count.saturating_sub(earlier.count),
+            sum_ns: self.sum_ns.saturating_sub(earlier.sum_ns),
+            ..Self::default()
+        };
+        for (bucket, to) in later.buckets.iter_mut().enumerate() {
+            *to = self.buckets[bucket].saturating_sub(earlier.buckets[bucket]);
+            if *to > 0 {
+                later.max_ns = Self::upper_edge(bucket).min(self.max_ns);
+            }
+        }
+        later
+    }
+
     /// Mean, ns; 0 when empty.
     pub fn mean_ns(&self) -> u64 {
         self.sum_ns.checked_div(self.count).unwrap_or(0)
@@ -129,10 +180,24 @@ pub struct LiveStats {
     pub delay_p99_ns: u64,
 }
 
-/// Counters of one process since its start. The payload is one unused byte.
+/// What one member has cost so far, as its rows say: written by sinks.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
+#[type_name("evpr.MemberCost.1")]
+pub struct MemberCost {
+    /// Its rows.
+    pub rows: u64,
+    /// From taking up the chunk that closed the window until the frame was written, summed over its rows, ns. Members
+    /// that share a frame each count it.
+    pub reconstruct_ns: u64,
+    /// From taking up the frame until the row was written, summed, ns; where rows are computed together, its share.
+    pub extract_ns: u64,
+}
+
+/// Counters of one process since its start. The payload is one [`MemberCost`] per member of the plan, from sinks.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[type_name("evpr.StatsHeader.2")]
+#[type_name("evpr.StatsHeader.3")]
 pub struct StatsHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
@@ -158,10 +223,20 @@ pub struct StatsHeader {
     pub progress_permille: u64,
     /// Ingest: the live source.
     pub live: LiveStats,
-    /// From sending to being taken up.
+    /// Number of a [`Doing`].
+    pub doing: u32,
+    /// Unused.
+    pub _pad: u32,
+    /// Host monotonic time (ns) at which the main loop last took up something or began to wait.
+    pub progress_ns: u64,
+    /// Of each input: from being sent to being taken up.
     pub waiting: Histogram,
-    /// From being taken up to done, sending included.
+    /// Of each input: from being taken up to done, without sending.
     pub processing: Histogram,
+    /// Of each output: handing it over, waiting for room included.
+    pub sending: Histogram,
+    /// Of each input that belongs to a window that is over: from the window's closing to being taken up.
+    pub age: Histogram,
 }
 
 header!(StatsHeader);
@@ -172,7 +247,7 @@ pub struct Stats;
 
 impl Message for Stats {
     type Header = StatsHeader;
-    type Item = u8;
+    type Item = MemberCost;
 }
 
 #[cfg(test)]
@@ -195,6 +270,24 @@ mod tests {
         }
         assert_eq!(h.quantile_ns(1.0), 10_000_000);
         assert_eq!(Histogram::default().quantile_ns(0.5), 0);
+    }
+
+    #[test]
+    fn what_came_since_is_told_apart() {
+        let mut h = Histogram::default();
+        (0..100).for_each(|_| h.record(1_000));
+        let before = h;
+        (0..50).for_each(|_| h.record(9_000));
+        let since = h.since(&before);
+        assert_eq!((since.count, since.sum_ns), (50, 450_000));
+        assert!(
+            (9_000..=9_000 * 9 / 8).contains(&since.quantile_ns(0.01)),
+            "{}",
+            since.quantile_ns(0.01)
+        );
+        assert!(since.max_ns >= 9_000 && since.max_ns <= h.max_ns);
+        assert_eq!(h.since(&h), Histogram::default());
+        assert_eq!(h.since(&Histogram::default()).count, h.count);
     }
 
     #[test]

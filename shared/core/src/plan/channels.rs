@@ -3,7 +3,7 @@
 use super::{Delivery, Pace, Plan};
 use crate::message::{
     Candidate, ChunkHeader, ControlHeader, DescriptorHeader, Event, FrameHeader, LifecycleHeader,
-    MatchHeader, MemberSetting, ServiceState, StatsHeader, TickHeader,
+    MatchHeader, MemberCost, MemberSetting, ServiceState, Span, SpansHeader, StatsHeader, TickHeader,
 };
 
 /// A channel's name.
@@ -25,6 +25,8 @@ pub enum Topic {
     Lifecycle,
     /// What every process has done, to the supervisor.
     Stats,
+    /// What every process does when, to whoever makes a trace.
+    Spans,
 }
 
 impl std::fmt::Display for Topic {
@@ -38,6 +40,7 @@ impl std::fmt::Display for Topic {
             Topic::Control => write!(f, "control"),
             Topic::Lifecycle => write!(f, "lifecycle"),
             Topic::Stats => write!(f, "stats"),
+            Topic::Spans => write!(f, "spans"),
         }
     }
 }
@@ -84,6 +87,8 @@ impl Channel {
 
 /// Messages that a publisher fills at the same time.
 pub(super) const LOANED: usize = 1;
+/// Most spans in one message.
+pub const SPANS_AT_ONCE: usize = 128;
 /// Observers and restarting processes, beyond the planned subscribers.
 const SPARE_SUBSCRIBERS: usize = 2;
 /// A restarted process may come before its dead forerunner is cleaned up; bridges take one too.
@@ -199,14 +204,16 @@ impl Plan {
         add(Topic::Lifecycle, services, item, header, 1, sinks, 4, false);
         add(
             Topic::Stats,
-            1,
-            1,
+            members,
+            size_of::<MemberCost>(),
             size_of::<StatsHeader>(),
             services,
             1,
             2 * services.max(4),
             false,
         );
+        let (header, item) = (size_of::<SpansHeader>(), size_of::<Span>());
+        add(Topic::Spans, SPANS_AT_ONCE, item, header, services, 0, 16, false);
         all
     }
 

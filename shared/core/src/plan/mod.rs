@@ -11,7 +11,7 @@ mod positions;
 mod slicing;
 mod source;
 
-pub use channels::{Channel, Topic};
+pub use channels::{Channel, SPANS_AT_ONCE, Topic};
 pub use frames::{FRAMES, FrameSource, FrameTicks, OnOtherSize, StackOrder};
 pub use fuse::{Filter, Fuse, Rule, SeqSlam, SequenceMethod, Similarity, Transition};
 pub use kind::*;

@@ -8,7 +8,8 @@ use crate::domain::Schedule;
 use crate::telemetry::HEARTBEAT;
 use crate::wait::{Waiter, wait_set};
 use evpr_core::message::{
-    ChunkHeader, Chunks, Control, Event, LiveStats, MemberSetting, ServicePhase, TickHeader, TickKind, Ticks,
+    ChunkHeader, Chunks, Control, Doing, Event, LiveStats, MemberSetting, ServicePhase, TickHeader, TickKind,
+    Ticks,
 };
 use evpr_core::plan::{Delivery, Topic};
 use evpr_core::stage::{IngestPort, OpenedTick, Outlet, StageError};
@@ -45,12 +46,20 @@ impl IngestPort for Port {
         fill: &mut dyn FnMut(&mut [Event]),
     ) -> Result<(), StageError> {
         let started = now_ns();
+        let telemetry = &mut self.ctx.telemetry;
+        telemetry.activity.set(Doing::Working, started);
         self.chunks.started_ns = started;
+        let sending_ns = self.chunks.record.sending.sum_ns;
         self.chunks.emit(header, len, fill)?;
-        let stats = &mut self.ctx.telemetry.stats;
-        stats.processing.record(now_ns().saturating_sub(started));
+        let sending_ns = self.chunks.record.sending.sum_ns - sending_ns;
+        let stats = &mut telemetry.stats;
+        stats
+            .processing
+            .record(now_ns().saturating_sub(started).saturating_sub(sending_ns));
         stats.emitted += 1;
-        Ok(())
+        telemetry
+            .collect(&mut self.chunks.record)
+            .map_err(|e| StageError::Fatal(e.to_string()))
     }
 
     fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError> {
@@ -108,8 +117,10 @@ impl IngestPort for Port {
         loop {
             let now = now_ns();
             if now >= ns {
+                self.ctx.telemetry.activity.set(Doing::Working, now);
                 return Ok(());
             }
+            self.ctx.telemetry.rests();
             let pause = Duration::from_nanos(ns - now).min(HEARTBEAT);
             match self.ctx.stop.signal().recv_timeout(pause) {
                 Err(crossbeam::channel::RecvTimeoutError::Timeout) => {
@@ -129,6 +140,8 @@ impl IngestPort for Port {
         stats.next_tick = next_tick;
         stats.events = events;
         stats.skipped = skipped;
+        stats.sending = self.chunks.record.sending;
+        self.ctx.telemetry.activity.set(Doing::Working, now_ns());
         if let Err(e) = self.ctx.telemetry.beat() {
             warn!("progress cannot be reported: {e}");
         }
@@ -189,6 +202,7 @@ pub fn run_ingest(
     let waiter = Waiter::new(&set, vec![&wake])?;
     // A failed source has sent its end too; what came before it is answered before the failure is reported.
     let latest = port.ctx.plan.delivery == Delivery::Latest;
+    port.ctx.telemetry.rests();
     while port.ctx.stop.count() <= stopped_by.min(1) {
         waiter.wait(HEARTBEAT)?;
         port.ctx.telemetry.beat()?;

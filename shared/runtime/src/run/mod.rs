@@ -119,7 +119,16 @@ impl ServiceContext {
     }
 
     fn sender<M: Message>(&self, topic: &Topic, stop_at: u32) -> Result<ChannelSender<M>, RuntimeError> {
-        ChannelSender::new(self.services(topic)?, self.identity, &self.stop, stop_at)
+        let activity = self.telemetry.activity.clone();
+        let mut sender = ChannelSender::new(
+            self.services(topic)?,
+            self.identity,
+            &self.stop,
+            stop_at,
+            activity,
+        )?;
+        sender.record.traced = self.telemetry.is_traced();
+        Ok(sender)
     }
 }
 

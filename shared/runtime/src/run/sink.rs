@@ -6,7 +6,7 @@ use crate::channel::{ChannelReceiver, ChannelSender, NoOutlet};
 use crate::clock::now_ns;
 use crate::telemetry::{HEARTBEAT, RateLimit};
 use crate::wait::{Waiter, wait_set};
-use evpr_core::message::{Descriptors, Header, Lifecycle, Matches, ServicePhase, ServiceState, Ticks};
+use evpr_core::message::{Descriptors, Lifecycle, Matches, MemberCost, ServicePhase, ServiceState, Ticks};
 use evpr_core::plan::Topic;
 use evpr_core::stage::{Outlet, Sink, StageError};
 use std::time::Duration;
@@ -75,18 +75,15 @@ impl Inputs<'_> {
                 };
                 taken += 1;
                 let started = now_ns();
+                ctx.telemetry.took(message.header(), started);
                 let outcome = sink.descriptor(message.header(), message.payload());
+                ctx.telemetry.row(message.header(), started);
                 trace!(
                     tick = message.header().tick,
                     member = message.header().member,
                     gap = message.gap,
                     "row"
                 );
-                let stats = &mut ctx.telemetry.stats;
-                stats.received += 1;
-                stats
-                    .waiting
-                    .record(started.saturating_sub(message.header().stamp().sent_ns));
                 self.skipped(ctx, message.header().tick, outcome)?;
             }
             came |= taken > 0;
@@ -143,6 +140,7 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
     } else {
         None
     };
+    ctx.telemetry.costs = vec![MemberCost::default(); ctx.plan.members.len()];
     ctx.telemetry.stats.next_tick = sink.next_tick();
     ctx.telemetry.phase(ServicePhase::Ready)?;
     debug!(service = ctx.service.name, next_tick = sink.next_tick(), "ready");
@@ -152,11 +150,16 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
     let waiter = Waiter::new(&set, listeners)?;
     let mut done = false;
     while !ctx.stop.requested() {
+        ctx.telemetry.rests();
         waiter.wait(timeout(sink.deadline_ns()))?;
         loop {
             let came = inputs.turn(&mut ctx, sink)?;
             let started = now_ns();
             let before = sink.next_tick();
+            if let Some(sender) = &mut matches {
+                sender.started_ns = started;
+            }
+            let sending_ns = matches.as_ref().map_or(0, |m| m.record.sending.sum_ns);
             let outlet: &mut dyn Outlet<Matches> = match &mut matches {
                 Some(sender) => sender,
                 None => &mut NoOutlet,
@@ -168,9 +171,15 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
             let stats = &mut ctx.telemetry.stats;
             stats.next_tick = sink.next_tick();
             let settled = sink.next_tick() - before;
-            if let Some(each_ns) = now_ns().saturating_sub(started).checked_div(settled) {
+            let sent = matches.as_ref().map(|m| m.record.sending).unwrap_or_default();
+            let took_ns = now_ns().saturating_sub(started + sent.sum_ns.saturating_sub(sending_ns));
+            stats.sending = sent;
+            if let Some(each_ns) = took_ns.checked_div(settled) {
                 stats.processing.record(each_ns);
                 stats.emitted += settled;
+            }
+            if let Some(sender) = &mut matches {
+                ctx.telemetry.collect(&mut sender.record)?;
             }
             ctx.telemetry.beat()?;
             if !done && sink.finished() {

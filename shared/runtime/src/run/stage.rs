@@ -64,11 +64,15 @@ impl<S: Stage> Loop<'_, S> {
     /// Lets the stage give what it held back, as nothing waits.
     fn flush(&mut self, ctx: &mut ServiceContext) -> Result<(), StageError> {
         let started = now_ns();
-        let sent = self.sender.sent;
+        self.sender.started_ns = started;
+        let (sent, sending_ns) = (self.sender.sent, self.sender.record.sending.sum_ns);
         let outcome = self.stage.flush(&mut self.sender);
         if self.sender.sent > sent {
+            let sending_ns = self.sender.record.sending.sum_ns - sending_ns;
             let stats = &mut ctx.telemetry.stats;
-            stats.processing.record(now_ns().saturating_sub(started));
+            stats
+                .processing
+                .record(now_ns().saturating_sub(started).saturating_sub(sending_ns));
             stats.emitted = self.sender.sent;
         }
         self.judge(ctx, outcome)
@@ -77,12 +81,9 @@ impl<S: Stage> Loop<'_, S> {
     fn take(&mut self, ctx: &mut ServiceContext, message: &Incoming<S::In>) -> Result<(), StageError> {
         let header = message.header();
         let started = now_ns();
-        let stats = &mut ctx.telemetry.stats;
-        stats.received += 1;
-        stats
-            .waiting
-            .record(started.saturating_sub(header.stamp().sent_ns));
+        ctx.telemetry.took(header, started);
         self.sender.started_ns = started;
+        let sending_ns = self.sender.record.sending.sum_ns;
         let dropped = self.ticks.is_some() && self.drop.drops(header.tick(), message.gap);
         let outcome = if dropped {
             self.dropped += 1;
@@ -90,7 +91,9 @@ impl<S: Stage> Loop<'_, S> {
         } else {
             self.stage.process(header, message.payload(), &mut self.sender)
         };
-        stats.processing.record(now_ns().saturating_sub(started));
+        let sending_ns = self.sender.record.sending.sum_ns - sending_ns;
+        ctx.telemetry.worked(header, started, sending_ns);
+        let stats = &mut ctx.telemetry.stats;
         stats.emitted = self.sender.sent;
         stats.events = self.stage.events();
         self.judge(ctx, outcome)
@@ -147,6 +150,7 @@ pub fn run_stage<S: Stage>(
     listeners.push(&wake);
     let waiter = Waiter::new(&set, listeners)?;
     loop {
+        ctx.telemetry.rests();
         waiter.wait(HEARTBEAT)?;
         let mut came = true;
         while came {
@@ -171,8 +175,10 @@ pub fn run_stage<S: Stage>(
                 }
             }
             let stats = &mut ctx.telemetry.stats;
+            stats.sending = state.sender.record.sending;
             stats.refused = receivers.iter().map(ChannelReceiver::refused).sum();
             stats.dropped = state.dropped + receivers.iter().map(ChannelReceiver::lost).sum::<u64>();
+            ctx.telemetry.collect(&mut state.sender.record)?;
             ctx.telemetry.beat()?;
         }
         if ctx.stop.requested() {

@@ -3,17 +3,20 @@
 use super::Spawn;
 use super::members::Members;
 use super::process::{Exit, Process};
+use super::profile::Profile;
 use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc, SUPERVISOR_READER};
-use crate::control::ControlServer;
+use crate::control::{ControlReply, ControlRequest, ControlServer};
 use crate::domain::{RunFolder, RunSpec};
+use crate::profile::Status;
 use crate::run::Identity;
 use crate::stop::{SignalListener, Stop, wake_pair};
 use crate::wait::{Waiter, wait_set};
-use crate::{RuntimeError, now_ns, shm};
+use crate::{RuntimeError, now_ns, shm, trace};
 use evpr_core::Plan;
 use evpr_core::message::{
     Candidate, Chunks, Control, ControlHeader, Descriptors, Frames, Header, Lifecycle, LifecycleHeader,
-    MatchHeader, Matches, Message, ServiceHealth, ServicePhase, Stats, StatsHeader, TickKind, Ticks,
+    MatchHeader, Matches, Message, ServiceHealth, ServicePhase, Span, Spans, Stats, StatsHeader, TickKind,
+    Ticks,
 };
 use evpr_core::plan::{Delivery, Service, ServiceKind, Topic};
 use evpr_core::stage::{OpenedTick, Outlet};
@@ -23,6 +26,7 @@ use nix::sys::signal::Signal;
 use std::any::Any;
 use std::fs::File;
 use std::process::Command;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::{info, warn};
 
@@ -102,6 +106,16 @@ pub trait Hooks {
 
     /// A few times per second.
     fn progress(&mut self, progress: &Progress);
+
+    /// Whether [`Hooks::spans`] is to be told. Asked once, at the start.
+    fn wants_spans(&self) -> bool {
+        false
+    }
+
+    /// What a process did when, by the index of its service in the plan.
+    fn spans(&mut self, service: usize, spans: &[Span]) {
+        let _ = (service, spans);
+    }
 }
 
 /// Where the run stands.
@@ -122,6 +136,7 @@ enum State {
 pub struct Supervisor {
     plan: Plan,
     folder: RunFolder,
+    run_id: u64,
     command: CommandLine,
     processes: Vec<Process>,
     state: State,
@@ -139,6 +154,7 @@ pub struct Supervisor {
     members: Members,
     lifecycle_version: u64,
     last_cleanup: Instant,
+    profile: Profile,
     ports: Ports,
     wake: Listener<Ipc>,
     control: ControlServer,
@@ -152,6 +168,8 @@ pub struct Supervisor {
 
 struct Ports {
     stats: ChannelReceiver<Stats>,
+    /// When a trace is made.
+    spans: Option<ChannelReceiver<Spans>>,
     ticks: ChannelReceiver<Ticks>,
     matches: Option<ChannelReceiver<Matches>>,
     lifecycle: ChannelSender<Lifecycle>,
@@ -239,16 +257,32 @@ impl Supervisor {
         } else {
             None
         };
+        held.push(Box::new(hold::<Spans>(&node, &plan, &Topic::Spans)?));
         let ports = Ports {
+            spans: None,
             stats: ChannelReceiver::new(hold(&node, &plan, &Topic::Stats)?, run_id, SUPERVISOR_READER)?,
             ticks: ChannelReceiver::new(hold(&node, &plan, &Topic::Ticks)?, run_id, SUPERVISOR_READER)?,
             matches,
-            lifecycle: ChannelSender::new(hold(&node, &plan, &Topic::Lifecycle)?, identity, &stop, 1)?,
-            control: ChannelSender::new(hold(&node, &plan, &Topic::Control)?, identity, &stop, 1)?,
+            lifecycle: ChannelSender::new(
+                hold(&node, &plan, &Topic::Lifecycle)?,
+                identity,
+                &stop,
+                1,
+                Arc::default(),
+            )?,
+            control: ChannelSender::new(
+                hold(&node, &plan, &Topic::Control)?,
+                identity,
+                &stop,
+                1,
+                Arc::default(),
+            )?,
         };
         let control = ControlServer::start(&folder, wake_sender)?;
-        let services = plan.services().into_iter();
-        let processes = services
+        let services = plan.services().len();
+        let processes = plan
+            .services()
+            .into_iter()
             .map(|s| {
                 let optional = plan.is_optional(&s);
                 Process::new(s, optional)
@@ -257,6 +291,7 @@ impl Supervisor {
         Ok(Self {
             plan,
             folder,
+            run_id,
             command,
             processes,
             state: State::Starting,
@@ -271,6 +306,7 @@ impl Supervisor {
             members,
             lifecycle_version: 0,
             last_cleanup: Instant::now(),
+            profile: Profile::new(services),
             ports,
             wake,
             control,
@@ -335,6 +371,10 @@ impl Supervisor {
     }
 
     fn supervise(&mut self, hooks: &mut dyn Hooks) -> Result<Outcome, RuntimeError> {
+        if hooks.wants_spans() {
+            let reader = trace::receiver(&self.node, &self.plan, self.run_id, SUPERVISOR_READER);
+            self.ports.spans = Some(reader?);
+        }
         let now = Instant::now();
         for process in &mut self.processes {
             process.start_at = (process.service.kind != ServiceKind::Ingest).then_some(now);
@@ -379,6 +419,7 @@ impl Supervisor {
             self.ports.stats.listener(),
             self.ports.ticks.listener(),
         ];
+        listeners.extend(self.ports.spans.as_ref().map(ChannelReceiver::listener));
         listeners.extend(self.ports.matches.as_ref().map(ChannelReceiver::listener));
         Waiter::new(&set, listeners)?.wait(timeout)
     }
@@ -396,6 +437,9 @@ impl Supervisor {
     /// Takes everything that has come: answers, stats, ticks.
     fn hear(&mut self, hooks: &mut dyn Hooks) -> Result<(), RuntimeError> {
         self.take_answers(hooks)?;
+        if let Some(spans) = &self.ports.spans {
+            trace::drain(spans, &mut |service, spans| hooks.spans(service, spans))?;
+        }
         while let Some(message) = self.ports.ticks.receive()? {
             let header = message.header();
             match TickKind::from_code(header.kind) {
@@ -427,6 +471,9 @@ impl Supervisor {
             }
             let was_ready = process.in_phase(ServicePhase::Ready);
             process.stats = stats;
+            if !message.payload().is_empty() {
+                process.costs = message.payload().to_vec();
+            }
             process.heard_at = Instant::now();
             if std::mem::take(&mut process.silent) {
                 info!("{} is heard again", process.service.name);
@@ -475,6 +522,7 @@ impl Supervisor {
             }
             self.next_answer = header.tick() + 1;
             self.answers += 1;
+            self.profile.answered(header);
             let count = (header.candidates as usize).min(message.payload().len());
             if let Err(line) = hooks.answer(header, &message.payload()[..count]) {
                 self.failure.get_or_insert(line);
@@ -687,6 +735,7 @@ impl Supervisor {
             self.clean_up_nodes();
         }
         self.members.expire(Instant::now());
+        self.profile.remember(Instant::now(), &self.processes);
         for process in &mut self.processes {
             if process.child.is_some() && !process.silent && process.heard_at.elapsed() > SILENCE {
                 process.silent = true;
@@ -734,12 +783,47 @@ impl Supervisor {
 
     fn take_requests(&mut self) -> Result<(), RuntimeError> {
         while let Ok(asked) = self.control.requests.try_recv() {
+            if asked.request == ControlRequest::Status {
+                let reply = ControlReply {
+                    status: Some(Box::new(self.status())),
+                    ..ControlReply::default()
+                };
+                asked.answer(reply);
+                continue;
+            }
             info!("asked to: {:?}", asked.request);
             if self.members.handle(asked, Instant::now()) {
                 self.publish_control()?;
             }
         }
         Ok(())
+    }
+
+    /// How things are.
+    fn status(&self) -> Status {
+        let state = match self.state {
+            State::Starting => "starting",
+            State::Running => "running",
+            State::Draining { .. } => "draining",
+            State::Stopping => "stopping",
+        };
+        let delivery = match self.plan.delivery {
+            Delivery::Lossless => "lossless",
+            Delivery::Latest => "latest",
+        };
+        Status {
+            name: self.plan.name.clone(),
+            state: state.to_owned(),
+            delivery: delivery.to_owned(),
+            uptime_s: self.profile.started.elapsed().as_secs_f64(),
+            tick: self.newest_open.map(|o| o.tick),
+            progress_permille: self.progress().permille,
+            answers: self.answers,
+            matches: self.profile.matches(),
+            latency: self.profile.latency(),
+            services: self.profile.services(&self.processes),
+            members: self.profile.members(self.members.states(), &self.processes),
+        }
     }
 
     /// Moves the run on to its next state when it is time.

@@ -39,7 +39,7 @@ impl Members {
         }
     }
 
-    fn states(&self) -> Vec<MemberState> {
+    pub(super) fn states(&self) -> Vec<MemberState> {
         let state = |(name, (enabled, weight)): (&String, &(bool, f64))| MemberState {
             name: name.clone(),
             enabled: *enabled,
@@ -80,6 +80,8 @@ impl Members {
                 });
                 false
             }
+            // The supervisor answers this one itself.
+            ControlRequest::Status => false,
             ControlRequest::Set {
                 members,
                 enabled,
@@ -173,9 +175,9 @@ impl Members {
         self.waiting.retain(|w| {
             if due(w) {
                 let _ = w.reply.send(ControlReply {
-                    error: None,
                     members: members.clone(),
                     from_tick,
+                    ..ControlReply::default()
                 });
             }
             !due(w)

@@ -13,6 +13,7 @@
 mod graph;
 mod members;
 mod process;
+mod profile;
 
 pub use graph::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport, Supervisor};
 

@@ -1,6 +1,6 @@
 //! One process of the graph as the supervisor sees it: its child, its lives and when to start the next.
 
-use evpr_core::message::{ServiceHealth, ServicePhase, ServiceState, StatsHeader};
+use evpr_core::message::{MemberCost, ServiceHealth, ServicePhase, ServiceState, StatsHeader};
 use evpr_core::plan::{Service, ServiceKind};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
@@ -38,6 +38,8 @@ pub(super) struct Process {
     pub(super) dead_through: u32,
     /// The newest stats of the current incarnation.
     pub(super) stats: StatsHeader,
+    /// What members have cost, from sinks.
+    pub(super) costs: Vec<MemberCost>,
     pub(super) restarts: u64,
     /// When to start it (again).
     pub(super) start_at: Option<Instant>,
@@ -63,6 +65,7 @@ impl Process {
             health: ServiceHealth::Up,
             dead_through: 0,
             stats: StatsHeader::default(),
+            costs: Vec::new(),
             restarts: 0,
             start_at: None,
             sent_back: false,
