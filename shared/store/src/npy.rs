@@ -5,6 +5,8 @@ use evpr_core::plan::RowType;
 
 /// Length of the headers written here, bytes: room for any shape, and a multiple of 64 as the format asks for.
 pub(crate) const HEADER_BYTES: usize = 128;
+/// Longest piece of a header that an error shows, characters.
+const MAX_SHOWN: usize = 120;
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
 /// Type and shape of an array.
@@ -70,8 +72,10 @@ impl NpyHeader {
         };
         let text = bytes.get(start..start + len).ok_or_else(short)?;
         let text = std::str::from_utf8(text).map_err(|_| "the .npy header is not text".to_owned())?;
-        let header = Self::parse(text)
-            .ok_or_else(|| format!("the .npy header {:?} is not understood", text.trim_end()))?;
+        let header = Self::parse(text).ok_or_else(|| {
+            let shown: String = text.trim_end().chars().take(MAX_SHOWN).collect();
+            format!("the .npy header {shown:?} is not understood")
+        })?;
         Ok((header, start + len))
     }
 
@@ -81,6 +85,10 @@ impl NpyHeader {
             Some(rest.trim_start())
         };
         let (descr, _) = value("descr")?.strip_prefix('\'')?.split_once('\'')?;
+        // No type has control characters in its name, and messages show it.
+        if descr.contains(char::is_control) {
+            return None;
+        }
         let order = value("fortran_order")?;
         let fortran_order = order.starts_with("True");
         if !fortran_order && !order.starts_with("False") {
