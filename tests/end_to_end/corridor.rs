@@ -1,9 +1,11 @@
 //! Real recordings: an indoor route that was walked twice. The figures are those of an independent implementation.
 
-use crate::support::{Bench, assert_ticks, read_answers, shared_data, text};
-use evpr_core::Plan;
+use crate::members::{assert_as_offline, switch};
+use crate::support::{Bench, Running, assert_ticks, read_answers, shared_data, text};
 use evpr_core::config::{self, Overrides};
+use evpr_core::message::FuseSettings;
 use evpr_core::plan::{Catalog, Models, Sensor};
+use evpr_core::{MemberSet, Plan};
 use evpr_fuse::{Map, offline};
 use evpr_store::{GroundTruth, Traverse};
 use serde_json::Value;
@@ -341,6 +343,61 @@ for name, row in ('patch_norm', oracle.patch_norm), ('raw_pixels', oracle.raw_pi
     worst = max(worst, *(np.abs(row(f)-r).max() for f, r in zip(mine, recorded)))
 print(worst)
 ";
+
+#[test]
+fn members_go_off_and_on_in_a_paced_replay_of_the_corridor() {
+    const TEST: &str = "members_go_off_and_on_in_a_paced_replay_of_the_corridor";
+    let all = config("[\"250ms\", \"500ms\"]", &[METHOD, "time_surface"], "\"all\"", 10);
+    let Some((bench, query)) = mapped(TEST, &all) else {
+        return;
+    };
+    let record = [
+        "run",
+        "-q",
+        "-c",
+        "all.toml",
+        "-i",
+        text(&query),
+        "-r",
+        "recorded",
+    ];
+    succeeds(&bench, &record);
+    let plan = plan(&bench, &bench.path("map"));
+    let args = [
+        "run",
+        "-q",
+        "-c",
+        "all.toml",
+        "-i",
+        text(&query),
+        "-m",
+        "map",
+        "--pace",
+        "12",
+    ];
+    let mut running = Running::start(&bench, &args);
+    let mut off = Vec::new();
+    for (index, member) in plan.members.iter().enumerate() {
+        assert!(running.read_to(20 * (index as u64 + 1)));
+        let from = switch(&bench, "disable", &member.name);
+        assert!(running.read_to(from + 4));
+        off.push((index, from..switch(&bench, "enable", &member.name)));
+    }
+    let (answers, said) = running.finish();
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert_ticks(&answers, QUERY_TICKS);
+    let enabled = |tick: u64| -> MemberSet {
+        let is_off = |m: usize| {
+            off.iter()
+                .any(|(index, ticks)| *index == m && ticks.contains(&tick))
+        };
+        (0..plan.members.len()).filter(|m| !is_off(*m)).collect()
+    };
+    assert_as_offline(&plan, &bench.path("recorded"), &answers, &enabled, |_| {
+        FuseSettings::default()
+    });
+    assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
 
 #[test]
 fn frames_are_the_oracles_and_those_of_the_running_graph() {

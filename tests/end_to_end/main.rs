@@ -16,4 +16,5 @@ mod networks;
 mod noise;
 mod profile;
 mod replay;
+mod steering;
 mod support;

@@ -2,13 +2,14 @@
 
 use super::support::{Bench, Running, TICKS, assert_ticks, run_args, text};
 use evpr_core::config::{self, Overrides};
+use evpr_core::message::FuseSettings;
 use evpr_core::plan::{Catalog, Models, Plan, Sensor};
 use evpr_core::{MemberSet, Reason};
 use evpr_fuse::{Map, offline};
 use serde_json::Value;
 use std::path::Path;
 
-fn plan(bench: &Bench, config: &Path, input: &Path, map: &Path) -> Plan {
+pub(crate) fn plan(bench: &Bench, config: &Path, input: &Path, map: &Path) -> Plan {
     let catalog = Catalog {
         reconstructions: &evpr_reconstruct::KINDS,
         extractors: &evpr_extract::KINDS,
@@ -35,13 +36,63 @@ fn plan(bench: &Bench, config: &Path, input: &Path, map: &Path) -> Plan {
 }
 
 /// Asks the running instance and gives the tick from which the change holds.
-fn switch(bench: &Bench, verb: &str, member: &str) -> u64 {
+pub(crate) fn switch(bench: &Bench, verb: &str, member: &str) -> u64 {
     let said = bench.run(&["member", verb, "--json", member]);
     assert_eq!(said.code(), 0, "{}", said.stderr);
     let reply: Value = serde_json::from_str(&said.stdout).unwrap();
     reply["from_tick"]
         .as_u64()
         .unwrap_or_else(|| panic!("no tick in {reply}"))
+}
+
+/// Checks that the answers are those of an offline evaluation of recorded rows with exactly these members and settings at
+/// each tick.
+pub(crate) fn assert_as_offline(
+    plan: &Plan,
+    recorded: &Path,
+    answers: &[Value],
+    enabled: &dyn Fn(u64) -> MemberSet,
+    settings: impl Fn(u64) -> FuseSettings,
+) {
+    let expected = offline::answers_with(
+        plan,
+        Map::open(plan).unwrap(),
+        &offline::Query::open(plan, recorded).unwrap(),
+        enabled,
+        settings,
+    )
+    .unwrap();
+    assert_eq!(expected.len(), answers.len());
+    for ((header, _), answer) in expected.iter().zip(answers) {
+        let reference = u64::try_from(header.reference).ok();
+        assert_eq!(answer["reference"].as_u64(), reference, "{answer}");
+        if reference.is_some() {
+            let (got, wanted) = (answer["score"].as_f64().unwrap(), header.score);
+            assert!(
+                (got - wanted).abs() <= 1e-9,
+                "tick {}: {got} against {wanted}",
+                header.tick
+            );
+        } else {
+            assert_eq!(
+                answer["reason"].as_str(),
+                Reason::from_code(header.reason).map(Reason::text)
+            );
+        }
+        let used = enabled(header.tick)
+            .iter()
+            .map(|m| plan.members[m].name.as_str())
+            .collect::<Vec<_>>();
+        assert_eq!(
+            answer["members"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|m| m.as_str().unwrap())
+                .collect::<Vec<_>>(),
+            used
+        );
+    }
 }
 
 #[test]
@@ -95,44 +146,7 @@ fn every_member_goes_off_and_on_and_the_answers_are_those_of_exactly_these_holes
         let none = (none_from..none_until).contains(&tick);
         (0..plan.members.len()).filter(|m| !none && !is_off(*m)).collect()
     };
-    let expected = offline::answers(
-        &plan,
-        Map::open(&plan).unwrap(),
-        &offline::Query::open(&plan, &recorded).unwrap(),
-        enabled,
-    )
-    .unwrap();
-    assert_eq!(expected.len(), answers.len());
-    for ((header, _), answer) in expected.iter().zip(&answers) {
-        let reference = u64::try_from(header.reference).ok();
-        assert_eq!(answer["reference"].as_u64(), reference, "{answer}");
-        if reference.is_some() {
-            let (got, wanted) = (answer["score"].as_f64().unwrap(), header.score);
-            assert!(
-                (got - wanted).abs() <= 1e-9,
-                "tick {}: {got} against {wanted}",
-                header.tick
-            );
-        } else {
-            assert_eq!(
-                answer["reason"].as_str(),
-                Reason::from_code(header.reason).map(Reason::text)
-            );
-        }
-        let used = enabled(header.tick)
-            .iter()
-            .map(|m| plan.members[m].name.as_str())
-            .collect::<Vec<_>>();
-        assert_eq!(
-            answer["members"]
-                .as_array()
-                .unwrap()
-                .iter()
-                .map(|m| m.as_str().unwrap())
-                .collect::<Vec<_>>(),
-            used
-        );
-    }
+    assert_as_offline(&plan, &recorded, &answers, &enabled, |_| FuseSettings::default());
     let in_the_dark = &answers[none_from as usize];
     assert_eq!(in_the_dark["reason"], "all members are disabled");
     assert_eq!(bench.left_behind(), Vec::<String>::new());

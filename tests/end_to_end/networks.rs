@@ -118,6 +118,64 @@ fn a_network_s_process_that_is_killed_comes_back() {
 }
 
 #[test]
+fn a_network_that_works_for_nobody_can_be_unloaded_and_is_loaded_again() {
+    let Some(library) = library("a_network_that_works_for_nobody_can_be_unloaded_and_is_loaded_again") else {
+        return;
+    };
+    let bench = Bench::new();
+    let stages = "[[reconstruction]]\nid = \"tiny_e2vid\"\n[[reconstruction]]\nid = \"event_count\"\n\
+                  [[extractor]]\nid = \"tiny_extractor\"\n[[extractor]]\nid = \"patch_norm\"\n";
+    let config = config(&bench, "networks.toml", &library, stages, "");
+    let map = bench.map(&config);
+    let query = bench.recording("query.txt", TICKS, 2);
+    // Without -q, as what is waited for is no warning.
+    let args = [
+        "run",
+        "-c",
+        text(&config),
+        "-i",
+        text(&query),
+        "-m",
+        text(&map),
+        "--pace",
+        "3",
+    ];
+    let mut running = Running::start(&bench, &args);
+    assert!(running.read_to(20));
+    let networks = [
+        "tiny_e2vid@50ms/tiny_extractor",
+        "tiny_e2vid@100ms/tiny_extractor",
+        "tiny_e2vid@50ms/patch_norm",
+        "tiny_e2vid@100ms/patch_norm",
+        "event_count@50ms/tiny_extractor",
+        "event_count@100ms/tiny_extractor",
+    ];
+    let said = bench.run(&[&["member", "disable", "--unload"], &networks[..]].concat());
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert!(running.logs("extract/tiny_extractor has given its memory back"));
+    let said = bench.run(&[&["member", "enable", "--json"], &networks[..]].concat());
+    let reply: serde_json::Value = serde_json::from_str(&said.stdout).unwrap();
+    let back = reply["from_tick"].as_u64().unwrap();
+    let (answers, said) = running.finish();
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert!(
+        said.stderr
+            .contains("reconstruct/tiny_e2vid has given its memory back"),
+        "{}",
+        said.stderr
+    );
+    assert_ticks(&answers, TICKS);
+    assert!(reasons(&answers).is_empty(), "{:?}", reasons(&answers));
+    for answer in &answers {
+        let members = answer["members"].as_array().unwrap().len();
+        assert!(
+            members == 8 || answer["tick"].as_u64().unwrap() < back && members == 2,
+            "{answer}"
+        );
+    }
+}
+
+#[test]
 fn what_cannot_start_ends_the_run_with_one_line() {
     let Some(library) = library("what_cannot_start_ends_the_run_with_one_line") else {
         return;

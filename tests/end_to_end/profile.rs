@@ -287,3 +287,26 @@ fn a_process_that_is_stopped_is_reported_and_one_that_waits_is_not() {
         .collect();
     assert_eq!(reported.len(), 1, "{reported:?}");
 }
+
+#[test]
+fn a_process_that_computes_for_long_is_not_reported() {
+    let bench = Bench::new();
+    let config = bench.file(
+        "small.toml",
+        "[sensor]\nheight = 48\nwidth = 64\n[slicing]\ntick = \"100ms\"\nwindows = [\"100ms\"]\norigin = 0\n\
+         [[reconstruction]]\nid = \"event_count\"\n[[extractor]]\nid = \"patch_norm\"\n",
+    );
+    let map = bench.map(&config);
+    let query = bench.recording("query.txt", 1, 2);
+    bench.delay("extract/patch_norm", 7_000);
+    let args = ["run", "-c", text(&config), "-i", text(&query), "-m", text(&map)];
+    let (answers, said) = Running::start(&bench, &args).finish();
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert_ticks(&answers, 1);
+    assert!(
+        answers[0]["latency_us"]["extract"].as_f64().unwrap() > 6e6,
+        "{}",
+        answers[0]
+    );
+    assert!(!said.stderr.contains("heard of"), "{}", said.stderr);
+}

@@ -77,7 +77,29 @@ impl Bench {
         command
             .env("EVPR_RUN_DIR", self.run_root.path())
             .current_dir(self.folder.path());
+        if self.delays().exists() {
+            command.env("EVPR_TEST_DELAYS", self.delays());
+        }
         command
+    }
+
+    fn delays(&self) -> PathBuf {
+        self.path("delays")
+    }
+
+    /// Has each message of this process take so much longer from now on. Runs started after the first call obey.
+    pub(crate) fn delay(&self, process: &str, ms: u64) {
+        fs::create_dir_all(self.delays()).unwrap();
+        let path = self.delays().join(process.replace('/', "_"));
+        // Whole at once: it is read all the time.
+        let draft = self.path("delay.new");
+        fs::write(&draft, ms.to_string()).unwrap();
+        fs::rename(draft, path).unwrap();
+    }
+
+    /// The socket of the instance with the default name.
+    pub(crate) fn control_socket(&self) -> PathBuf {
+        self.run_root.path().join("evpr/control.sock")
     }
 
     /// Runs a shell script in a mount namespace of its own, so that its mounts are seen by nobody else. `mount` makes

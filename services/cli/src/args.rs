@@ -62,6 +62,10 @@ pub(crate) enum Command {
     Choose(ChooseArgs),
     /// How a running instance is: processes, times, members
     Status(InstanceArgs),
+    /// The live view of a running instance; members can be switched in it
+    Top(TopArgs),
+    /// Change a running instance from the next tick on: sequence length, fusion rule, deadline
+    Set(SetArgs),
     /// Record what the processes of a running instance do when, for ui.perfetto.dev
     Trace(TraceArgs),
     /// The sequence matcher alone: a similarity matrix in, matched scores out
@@ -767,6 +771,44 @@ pub(crate) struct InstanceArgs {
 }
 
 #[derive(Debug, Parser)]
+pub(crate) struct TopArgs {
+    /// Name of the running instance
+    #[arg(long, value_name = "NAME", default_value = "evpr")]
+    pub(crate) name: String,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct SetArgs {
+    #[command(flatten)]
+    pub(crate) instance: InstanceArgs,
+    #[command(subcommand)]
+    pub(crate) setting: Setting,
+}
+
+/// What of a running instance is set.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Setting {
+    /// Sequence length in ticks
+    Length {
+        /// 1 to 1000
+        #[arg(value_name = "TICKS", value_parser = clap::value_parser!(u32).range(1..=i64::from(evpr_runtime::MAX_LENGTH)))]
+        ticks: u32,
+    },
+    /// How members' scores become one
+    Rule {
+        /// sum, mean, max, median, product or trimmed_mean
+        #[arg(value_name = "RULE")]
+        rule: String,
+    },
+    /// Latest delivery: when an answer is due after its last window closed
+    Deadline {
+        /// Such as 300ms
+        #[arg(value_name = "DURATION", value_parser = duration)]
+        deadline: u64,
+    },
+}
+
+#[derive(Debug, Parser)]
 pub(crate) struct TraceArgs {
     /// Name of the running instance
     #[arg(long, value_name = "NAME", default_value = "evpr")]
@@ -786,7 +828,7 @@ pub(crate) enum MemberCommand {
     /// Switch members on, from the next tick
     Enable(MemberSetArgs),
     /// Switch members off, from the next tick
-    Disable(MemberSetArgs),
+    Disable(MemberDisableArgs),
     /// Set the weight of members, from the next tick
     Weight(MemberWeightArgs),
 }
@@ -798,6 +840,15 @@ pub(crate) struct MemberSetArgs {
     /// Members such as event_count@250ms/patch_norm, or "all"
     #[arg(value_name = "MEMBER", required = true)]
     pub(crate) members: Vec<String>,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct MemberDisableArgs {
+    #[command(flatten)]
+    pub(crate) set: MemberSetArgs,
+    /// Free the memory of networks that work for no other member; they are loaded again when they are needed
+    #[arg(long)]
+    pub(crate) unload: bool,
 }
 
 #[derive(Debug, Parser)]

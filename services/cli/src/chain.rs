@@ -2,8 +2,8 @@
 
 use crate::failure::Failure;
 use evpr_core::Plan;
-use evpr_core::message::{ChunkHeader, Event, Frames, MemberSetting, TickHeader, TickKind};
-use evpr_core::stage::{IngestPort, Outlet, Stage, StageError};
+use evpr_core::message::{ChunkHeader, Event, Frames, TickHeader, TickKind};
+use evpr_core::stage::{IngestPort, Outlet, Settings, Stage, StageError};
 use evpr_ingest::Ingest;
 use evpr_reconstruct::Reconstruct;
 use evpr_runtime::{Progress, Stop};
@@ -91,7 +91,7 @@ impl IngestPort for Chain<'_> {
         Ok(())
     }
 
-    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, _tick: u64) -> Option<Settings> {
         None
     }
 

@@ -38,6 +38,11 @@ impl Failure {
         }
     }
 
+    /// What is wrong, in one line.
+    pub(crate) fn text(&self) -> String {
+        self.lines.join("; ")
+    }
+
     /// Prints the lines and gives the exit code.
     pub(crate) fn report(self) -> ExitCode {
         let lines: Vec<&str> = self.lines.iter().flat_map(|text| text.lines()).collect();

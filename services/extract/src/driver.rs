@@ -345,6 +345,13 @@ impl Stage for Extract {
         }
     }
 
+    fn unload(&mut self) -> bool {
+        match &mut self.engine {
+            Engine::Network(network) if !network.is_waiting() => network.unload(),
+            _ => false,
+        }
+    }
+
     fn skip_dropped(
         &mut self,
         header: &FrameHeader,

@@ -4,7 +4,7 @@
 use crate::kind::FrameView;
 use crate::preprocess::Preprocess;
 use evpr_core::message::FrameHeader;
-use evpr_core::plan::{ModelKind, Plan};
+use evpr_core::plan::{Inference, ModelKind, Network, Plan, Sensor};
 use evpr_onnx::{DescriptorNetwork, Descriptors, Library, OnnxError};
 
 /// Descriptors of this length or shorter have no direction.
@@ -13,13 +13,40 @@ const NO_LENGTH: f64 = 1e-12;
 /// A network with the frames that wait for it.
 #[derive(Debug)]
 pub(crate) struct NetworkExtractor {
-    network: DescriptorNetwork,
+    /// None while it is unloaded.
+    network: Option<DescriptorNetwork>,
+    recipe: Recipe,
+    dimension: usize,
+    batch: usize,
     preprocess: Preprocess,
     /// Inputs, one after the other; as many as the network takes at once.
     inputs: Vec<f32>,
     /// Numbers in one input.
     input: usize,
     waiting: Vec<(FrameHeader, u32)>,
+}
+
+/// What it takes to load the network.
+#[derive(Debug)]
+struct Recipe {
+    network: Network,
+    inference: Inference,
+    sensor: Sensor,
+    /// Most frames at once.
+    most: usize,
+}
+
+impl Recipe {
+    fn load(&self) -> Result<DescriptorNetwork, OnnxError> {
+        let library = Library::load(self.inference.library.as_deref())?;
+        DescriptorNetwork::load(
+            &library,
+            &self.network,
+            &self.inference,
+            Some(self.sensor),
+            self.most,
+        )
+    }
 }
 
 impl NetworkExtractor {
@@ -31,9 +58,13 @@ impl NetworkExtractor {
         let ModelKind::Extractor { preprocessing, .. } = &network.model.kind else {
             return Ok(None);
         };
-        let library = Library::load(plan.inference.library.as_deref())?;
-        let most = plan.members.iter().filter(|m| m.extractor == extractor).count();
-        let network = DescriptorNetwork::load(&library, network, &plan.inference, Some(plan.sensor), most)?;
+        let recipe = Recipe {
+            network: network.clone(),
+            inference: plan.inference.clone(),
+            sensor: plan.sensor,
+            most: plan.members.iter().filter(|m| m.extractor == extractor).count(),
+        };
+        let network = recipe.load()?;
         let (channels, height, width) = network.input_shape();
         let input = channels * height * width;
         Ok(Some(Self {
@@ -41,13 +72,16 @@ impl NetworkExtractor {
             inputs: vec![0.0; input * network.batch()],
             input,
             waiting: Vec::with_capacity(network.batch()),
-            network,
+            dimension: network.dimension(),
+            batch: network.batch(),
+            network: Some(network),
+            recipe,
         }))
     }
 
     /// Length of its descriptors.
     pub(crate) fn dimension(&self) -> usize {
-        self.network.dimension()
+        self.dimension
     }
 
     /// Takes a frame of a member. True when no more fit: [`NetworkExtractor::run`] is next.
@@ -57,15 +91,27 @@ impl NetworkExtractor {
             self.preprocess.apply(frame, input);
             self.waiting.push((header, member));
         }
-        self.waiting.len() == self.network.batch()
+        self.waiting.len() == self.batch
     }
 
     /// Computes what waits: each frame's header and member, and the descriptors in the same order.
     pub(crate) fn run(&mut self) -> (Vec<(FrameHeader, u32)>, Result<Descriptors, OnnxError>) {
         let count = self.waiting.len();
-        let descriptors = self.network.run(&self.inputs[..count * self.input], count);
-        let batch = Vec::with_capacity(self.network.batch());
+        let inputs = &self.inputs[..count * self.input];
+        let descriptors = match &mut self.network {
+            Some(network) => network.run(inputs, count),
+            None => self
+                .recipe
+                .load()
+                .and_then(|network| self.network.insert(network).run(inputs, count)),
+        };
+        let batch = Vec::with_capacity(self.batch);
         (std::mem::replace(&mut self.waiting, batch), descriptors)
+    }
+
+    /// Frees the network, until the next frame; true when it was there.
+    pub(crate) fn unload(&mut self) -> bool {
+        self.network.take().is_some()
     }
 
     /// Whether frames wait.

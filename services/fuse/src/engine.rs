@@ -5,8 +5,8 @@ use crate::similarity::similarity;
 use crate::{FuseError, Map, SequenceMatcher};
 use evpr_core::ledger::TickInfo;
 use evpr_core::member::MAX_MEMBERS;
-use evpr_core::message::{Candidate, MatchHeader};
-use evpr_core::plan::{SequenceMethod, Similarity};
+use evpr_core::message::{Candidate, FuseSettings, MatchHeader};
+use evpr_core::plan::{Fuse, Rule, SequenceMethod, Similarity};
 use evpr_core::{MemberSet, Plan, Reason};
 use rayon::prelude::*;
 
@@ -47,6 +47,9 @@ pub(crate) struct Engine {
     lanes: Vec<Lane>,
     ensemble: Ensemble,
     min_confidence: f64,
+    /// As the plan says.
+    planned: Fuse,
+    length: usize,
 }
 
 impl Engine {
@@ -67,8 +70,30 @@ impl Engine {
             },
             names: plan.members.iter().map(|m| m.name.clone()).collect(),
             kind: fuse.similarity,
+            planned: fuse.clone(),
+            length: fuse.length,
             map,
         })
+    }
+
+    /// Makes these settings hold from the next tick on.
+    pub(crate) fn set(&mut self, settings: &FuseSettings) {
+        let planned = &self.planned;
+        let rule = Rule::from_code(settings.rule, settings.trim).unwrap_or(planned.rule);
+        self.ensemble.set_rule(rule);
+        let length = match settings.length {
+            0 => planned.length,
+            length => length as usize,
+        };
+        if length == self.length || !planned.sequence.has_length() {
+            return;
+        }
+        self.length = length;
+        for (lane, member) in self.lanes.iter_mut().zip(&self.map.members) {
+            let nothing = SequenceMatcher::new(SequenceMethod::None, 1, &[]);
+            let matcher = std::mem::replace(&mut lane.matcher, nothing);
+            lane.matcher = matcher.with_length(planned.sequence, length, &member.valid);
+        }
     }
 
     pub(crate) fn references(&self) -> usize {

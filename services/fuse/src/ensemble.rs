@@ -66,6 +66,11 @@ impl Ensemble {
         Self { rule, ..self }
     }
 
+    /// Fuses by this rule from now on.
+    pub fn set_rule(&mut self, rule: Rule) {
+        self.rule = rule;
+    }
+
     /// The same with a filter that takes E for z-scores: the fused scores are then the probabilities of the places.
     /// Such an ensemble has to be shown every tick, those without any member too.
     #[must_use]

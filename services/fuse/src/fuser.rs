@@ -144,6 +144,7 @@ impl Fuser {
             rows: &rows,
             lost: settled.lost,
         };
+        self.engine.set(&info.fuse);
         let verdict = self.engine.advance(input, answer);
         if let Some(observer) = &mut self.observer {
             let members: Vec<FusedMember<'_>> = rows

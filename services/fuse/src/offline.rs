@@ -5,6 +5,7 @@ use crate::map::open_members;
 use crate::{FuseError, Map, MapMember};
 use evpr_core::ledger::TickInfo;
 use evpr_core::member::MAX_MEMBERS;
+use evpr_core::message::FuseSettings;
 use evpr_core::plan::Filter;
 use evpr_core::stage::Answer;
 use evpr_core::{MemberSet, Plan, Reason};
@@ -63,6 +64,20 @@ pub fn answers(
     query: &Query,
     enabled: impl Fn(u64) -> MemberSet,
 ) -> Result<Vec<Answer>, FuseError> {
+    answers_with(plan, map, query, enabled, |_| FuseSettings::default())
+}
+
+/// As [`answers`]; `settings` are those of each tick.
+///
+/// # Errors
+/// As [`answers`].
+pub fn answers_with(
+    plan: &Plan,
+    map: Map,
+    query: &Query,
+    enabled: impl Fn(u64) -> MemberSet,
+    settings: impl Fn(u64) -> FuseSettings,
+) -> Result<Vec<Answer>, FuseError> {
     check_members(plan, &query.members, query.ticks.len())?;
     let mut engine = Engine::new(plan, map)?;
     let weights: Vec<f64> = plan.members.iter().map(|m| m.weight).collect();
@@ -86,6 +101,7 @@ pub fn answers(
             engine.advance(input, false);
         }
         next = at.tick.saturating_add(1);
+        engine.set(&settings(at.tick));
         let members: MemberSet = enabled(at.tick)
             .iter()
             .filter(|m| *m < plan.members.len())
@@ -128,6 +144,7 @@ pub fn answers(
             control_version: 0,
             members,
             weights: Vec::new(),
+            fuse: FuseSettings::default(),
         };
         answers.push((
             engine.header(&info, verdict, ends),

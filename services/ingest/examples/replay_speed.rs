@@ -1,8 +1,8 @@
 //! Replays a recording into nothing and says how fast: `cargo run --release -p evpr-ingest --example replay_speed -- FILE`.
 
-use evpr_core::message::{ChunkHeader, Event, MemberSetting, TickHeader};
+use evpr_core::message::{ChunkHeader, Event, TickHeader};
 use evpr_core::plan::test_plan;
-use evpr_core::stage::{IngestPort, StageError};
+use evpr_core::stage::{IngestPort, Settings, StageError};
 use evpr_ingest::Ingest;
 use std::time::Instant;
 
@@ -36,7 +36,7 @@ impl IngestPort for Nowhere {
         Ok(())
     }
 
-    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, _tick: u64) -> Option<Settings> {
         None
     }
 

@@ -134,7 +134,9 @@ impl FrameIngest {
             members: self.enabled.members,
             ..ChunkHeader::default()
         };
-        port.chunk(chunk, 0, &mut |_| {})?;
+        if self.enabled.want(0) {
+            port.chunk(chunk, 0, &mut |_| {})?;
+        }
         let closing = TickHeader {
             kind: TickKind::Close as u32,
             closed_ns: chunk.closed_ns,
@@ -150,6 +152,7 @@ impl FrameIngest {
             end_us: tick.end_ns / 1_000,
             control_version: self.enabled.version,
             members: self.enabled.members,
+            fuse: self.enabled.fuse,
             epoch: self.epoch,
             kind: TickKind::Open as u32,
             ..TickHeader::default()

@@ -1,7 +1,7 @@
 //! Positions: fills in where the camera was when a tick opens, on the way to the port.
 
-use evpr_core::message::{ChunkHeader, Event, LiveStats, MemberSetting, TickHeader, TickKind};
-use evpr_core::stage::{IngestPort, OpenedTick, StageError};
+use evpr_core::message::{ChunkHeader, Event, LiveStats, TickHeader, TickKind};
+use evpr_core::stage::{IngestPort, OpenedTick, Settings, StageError};
 use evpr_events::Trajectory;
 
 /// A port behind which the openings of ticks carry a position.
@@ -37,7 +37,7 @@ impl IngestPort for Placed<'_> {
         self.port.tick(header, weights)
     }
 
-    fn control(&mut self, tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, tick: u64) -> Option<Settings> {
         self.port.control(tick)
     }
 

@@ -24,7 +24,7 @@ const MAX_EVENT_US: u64 = u32::MAX as u64;
 pub struct SliceTally {
     /// Sent in chunks.
     pub sent: u64,
-    /// Not sent, because no window covers their segment.
+    /// Not sent, because no window covers their segment, or only those of members that are off.
     pub unneeded: u64,
     /// Earlier than the origin.
     pub before_origin: u64,
@@ -412,7 +412,8 @@ impl Slicer {
     }
 
     fn needed(&self) -> bool {
-        self.segments.needed.get(self.segment).copied().unwrap_or(false)
+        let covered = self.segments.needed.get(self.segment).copied().unwrap_or(false);
+        covered && self.enabled.want(self.segment)
     }
 
     fn send_chunk(&mut self, closing: bool, port: &mut dyn IngestPort) -> Result<(), StageError> {
@@ -529,6 +530,7 @@ impl Slicer {
             end_us: end_ns / 1_000,
             control_version: self.enabled.version,
             members: self.enabled.members,
+            fuse: self.enabled.fuse,
             epoch: self.epoch,
             ..TickHeader::default()
         }

@@ -4,6 +4,7 @@ use crate::testing::{KeptPort, Segment, Sent};
 use crate::{MAX_GAP_TICKS, RawEvent, SliceTally, Slicer};
 use evpr_core::message::{ChunkHeader, MemberSetting, TickKind};
 use evpr_core::plan::{Align, Delivery, Origin, Pace, Plan, SliceMode, test_plan};
+use evpr_core::stage::Settings;
 use proptest::prelude::*;
 
 const MS: u64 = 1_000_000;
@@ -256,9 +257,14 @@ fn members_change_at_an_opening() {
     let setting = |enabled, weight| MemberSetting {
         weight,
         enabled,
-        _pad: 0,
+        unload: 0,
     };
-    port.control = [None, Some((7, vec![setting(0, 0.5), setting(1, 2.0)])), None].into();
+    let settings = Settings {
+        version: 7,
+        members: vec![setting(0, 0.5), setting(1, 2.0)],
+        ..Settings::default()
+    };
+    port.control = [None, Some(settings), None].into();
     slicer
         .push(&[at(0), at(12 * MS), at(30 * MS)], &mut port)
         .unwrap();
@@ -281,6 +287,39 @@ fn members_change_at_an_opening() {
     for (h, _) in port.chunks() {
         assert_eq!((h.members.contains(0), h.epoch), (h.tick == 0, 3));
     }
+}
+
+#[test]
+fn events_that_no_enabled_member_wants_are_not_sent() {
+    let plan = plan(SliceMode::Time, 10 * MS, &[5 * MS], Align::Start);
+    let (mut slicer, mut port) = (Slicer::new(&plan, 0, 3), KeptPort::default());
+    let settings = |version, enabled| Settings {
+        version,
+        members: vec![
+            MemberSetting {
+                enabled,
+                ..MemberSetting::default()
+            };
+            2
+        ],
+        ..Settings::default()
+    };
+    port.control = [None, Some(settings(1, 0)), Some(settings(2, 1))].into();
+    slicer
+        .push(&[at(0), at(12 * MS), at(22 * MS), at(40 * MS)], &mut port)
+        .unwrap();
+    let sent: Vec<_> = port.chunks().map(|(h, events)| (h.tick, events.len())).collect();
+    assert_eq!(sent, [(0, 1), (2, 1), (3, 0)]);
+    let closed = port
+        .tick_numbers()
+        .into_iter()
+        .filter(|(kind, _)| *kind == TickKind::Close);
+    assert_eq!(
+        closed.map(|(_, tick)| tick).collect::<Vec<_>>(),
+        [0, 1, 2, 3],
+        "ticks go on"
+    );
+    assert_eq!(slicer.tally().unneeded, 1);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! A port that keeps what it is given, for tests.
 
-use evpr_core::message::{ChunkHeader, Event, LiveStats, MemberSetting, TickHeader, TickKind};
-use evpr_core::stage::{IngestPort, OpenedTick, StageError};
+use evpr_core::message::{ChunkHeader, Event, LiveStats, TickHeader, TickKind};
+use evpr_core::stage::{IngestPort, OpenedTick, Settings, StageError};
 use std::collections::VecDeque;
 
 /// One message, as it was sent.
@@ -40,7 +40,7 @@ pub(crate) struct KeptPort {
     /// When each message was sent.
     pub(crate) sent_ns: Vec<u64>,
     /// Handed out at one opening each.
-    pub(crate) control: VecDeque<Option<(u64, Vec<MemberSetting>)>>,
+    pub(crate) control: VecDeque<Option<Settings>>,
     /// Calls of `wait_until` that still succeed.
     pub(crate) waits_left: Option<usize>,
     /// Chunks that still find room.
@@ -129,7 +129,7 @@ impl IngestPort for KeptPort {
         Ok(())
     }
 
-    fn control(&mut self, _tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, _tick: u64) -> Option<Settings> {
         self.control.pop_front().flatten()
     }
 

@@ -421,6 +421,10 @@ impl Stage for Reconstruct {
         self.close(header, segment, Some(Reason::Dropped), outlet)
     }
 
+    fn unload(&mut self) -> bool {
+        self.method.unload()
+    }
+
     fn events(&self) -> u64 {
         self.events
     }

@@ -32,6 +32,11 @@ pub(crate) trait Method: Send {
     /// Forgets what it carries from window to window: what comes next is from elsewhere in the recording.
     fn forget(&mut self) {}
 
+    /// Gives memory back that [`Method::prepare`] gets again by itself; true when there was some.
+    fn unload(&mut self) -> bool {
+        false
+    }
+
     /// Renders the events of these slots, given in stream order, as one image of the sensor's size. Writes every
     /// byte of `out` (height × width × channels, row-major, channels interleaved). At least one event is in them.
     fn render(&mut self, slots: &[usize], out: &mut [u8]);

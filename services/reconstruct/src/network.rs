@@ -3,13 +3,15 @@
 use crate::method::Method;
 use crate::voxels::{KeptEvents, VoxelGrid};
 use evpr_core::message::Event;
-use evpr_core::plan::{CARRY, Pixel, Plan, Sensor};
+use evpr_core::plan::{CARRY, Inference, Network, Pixel, Plan, Sensor};
 use evpr_onnx::{FrameNetwork, Library, OnnxError, State};
 
 /// A network that sees the voxel grid of each window.
 pub(crate) struct NetworkMethod {
     sensor: Sensor,
-    network: FrameNetwork,
+    /// None while it is unloaded.
+    network: Option<FrameNetwork>,
+    recipe: Recipe,
     grid: VoxelGrid,
     slots: Vec<KeptEvents>,
     /// Per window: the memory, and the tick after which it is.
@@ -17,6 +19,20 @@ pub(crate) struct NetworkMethod {
     carry: bool,
     /// The frame that was prepared.
     levels: Vec<u8>,
+}
+
+/// What it takes to load the network.
+struct Recipe {
+    network: Network,
+    inference: Inference,
+    sensor: Sensor,
+}
+
+impl Recipe {
+    fn load(&self) -> Result<FrameNetwork, OnnxError> {
+        let library = Library::load(self.inference.library.as_deref())?;
+        FrameNetwork::load(&library, &self.network, &self.inference, Some(self.sensor))
+    }
 }
 
 #[derive(Debug, Default)]
@@ -56,9 +72,12 @@ impl NetworkMethod {
         let Some(network) = &r.network else {
             return Ok(None);
         };
-        let library = Library::load(plan.inference.library.as_deref()).map_err(LoadError::Network)?;
-        let network = FrameNetwork::load(&library, network, &plan.inference, Some(plan.sensor));
-        let network = network.map_err(LoadError::Network)?;
+        let recipe = Recipe {
+            network: network.clone(),
+            inference: plan.inference.clone(),
+            sensor: plan.sensor,
+        };
+        let network = recipe.load().map_err(LoadError::Network)?;
         let carry = r.params.text("state") == CARRY;
         if carry && !network.has_memory() {
             return Err(LoadError::Params(format!(
@@ -71,7 +90,8 @@ impl NetworkMethod {
         let windows = plan.slicing.windows.len();
         Ok(Some(Self {
             sensor: plan.sensor,
-            network,
+            network: Some(network),
+            recipe,
             grid,
             slots: vec![KeptEvents::default(); slots],
             memories: (0..windows).map(|_| Memory::default()).collect(),
@@ -105,10 +125,17 @@ impl Method for NetworkMethod {
         self.grid.fill(segments)?;
         let state = self.memories[window].for_tick(tick, self.carry);
         let (grid, levels) = (&self.grid, &mut self.levels);
-        let run = self
-            .network
-            .run(grid.values(), state, &mut |frame| grid.crop(frame, levels));
+        let network = match &mut self.network {
+            Some(network) => network,
+            none => none.insert(self.recipe.load().map_err(|e| e.to_string())?),
+        };
+        let run = network.run(grid.values(), state, &mut |frame| grid.crop(frame, levels));
         run.map_err(|e| e.to_string())
+    }
+
+    fn unload(&mut self) -> bool {
+        // Events and memories stay: a window may be under way.
+        self.network.take().is_some()
     }
 
     fn render(&mut self, _slots: &[usize], out: &mut [u8]) {

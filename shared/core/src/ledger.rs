@@ -7,7 +7,9 @@
 //! the dead, and whatever still comes of theirs in time counts.
 
 use crate::member::{End, MemberSet, Reason};
-use crate::message::{DescriptorHeader, Life, ServiceHealth, ServiceState, TickHeader, TickKind};
+use crate::message::{
+    DescriptorHeader, FuseSettings, Life, ServiceHealth, ServiceState, TickHeader, TickKind,
+};
 use crate::plan::{Delivery, Plan, SliceMode};
 use std::collections::VecDeque;
 
@@ -28,6 +30,8 @@ pub struct TickInfo {
     pub members: MemberSet,
     /// Weight per member.
     pub weights: Vec<f64>,
+    /// The fuser's settings.
+    pub fuse: FuseSettings,
 }
 
 /// A row with the times of its life.
@@ -199,6 +203,7 @@ impl<T> Ledger<T> {
                     weights: (0..self.expect.len())
                         .map(|m| weights.get(m).copied().unwrap_or(1.0))
                         .collect(),
+                    fuse: header.fuse,
                 };
                 self.last_opened = Some(info.clone());
                 match self.entry(header.tick) {
@@ -317,7 +322,13 @@ impl<T> Ledger<T> {
         }
         let closed = self.pending.iter().find(|p| p.closed).map(|p| p.closed_ns);
         let known = closed.or(self.end.map(|(_, said_ns)| said_ns))?;
-        Some(known.saturating_add(self.deadline_ns))
+        let head = self
+            .pending
+            .front()
+            .and_then(|p| p.info.as_ref())
+            .map(|info| info.fuse.deadline_ns);
+        let deadline_ns = head.filter(|ns| *ns > 0).unwrap_or(self.deadline_ns);
+        Some(known.saturating_add(deadline_ns))
     }
 
     /// When [`Ledger::settle`] should be called again though nothing came (host monotonic ns).
@@ -419,6 +430,7 @@ impl<T> Ledger<T> {
                 control_version: 0,
                 members: MemberSet::default(),
                 weights: vec![1.0; self.expect.len()],
+                fuse: FuseSettings::default(),
             },
         }
     }

@@ -4,6 +4,7 @@
 //! Nothing here does I/O, starts threads or knows about shared memory: every other crate builds on this one.
 
 pub mod config;
+pub mod governor;
 pub mod ledger;
 pub mod member;
 pub mod message;

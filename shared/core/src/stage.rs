@@ -2,8 +2,8 @@
 //! tests chain it in theirs.
 
 use crate::message::{
-    ChunkHeader, DescriptorHeader, Event, LiveStats, MatchHeader, Matches, MemberSetting, Message,
-    ServiceState, TickHeader,
+    ChunkHeader, DescriptorHeader, Event, FuseSettings, LiveStats, MatchHeader, Matches, MemberSetting,
+    Message, ServiceState, TickHeader,
 };
 use serde::{Deserialize, Serialize};
 
@@ -104,6 +104,12 @@ pub trait Stage {
         Ok(())
     }
 
+    /// Called when no enabled member needs the stage for a while and memory is wanted: gives back what it can load again
+    /// by itself when it is needed. True when it gave something back.
+    fn unload(&mut self) -> bool {
+        false
+    }
+
     /// Events counted so far, for the stats; 0 where that means nothing.
     fn events(&self) -> u64 {
         0
@@ -166,6 +172,17 @@ pub struct OpenedTick {
     pub sent_ns: u64,
 }
 
+/// What can change while a run goes on; each change holds from the opening of a tick on.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Settings {
+    /// Grows by one with each change.
+    pub version: u64,
+    /// The fuser's.
+    pub fuse: FuseSettings,
+    /// Per member of the plan.
+    pub members: Vec<MemberSetting>,
+}
+
 /// What ingest sends into and hears from, given by the runtime. A request to stop reaches ingest by a receiver of its
 /// own, so that it can wait for events and for the request at the same time.
 pub trait IngestPort {
@@ -190,10 +207,10 @@ pub trait IngestPort {
     /// As [`IngestPort::chunk`].
     fn tick(&mut self, header: TickHeader, weights: &[f64]) -> Result<(), StageError>;
 
-    /// The member settings that hold from this tick on, with their version, if they differ from those of the last call.
+    /// The settings that hold from this tick on, with their version, if they differ from those of the last call.
     /// Asked at every opening of a tick, so it must be quick. Ticks that are opened a second time (ingest went back)
     /// get the settings that they had.
-    fn control(&mut self, tick: u64) -> Option<(u64, Vec<MemberSetting>)>;
+    fn control(&mut self, tick: u64) -> Option<Settings>;
 
     /// Waits until the host monotonic time `ns`.
     ///

@@ -60,7 +60,8 @@ fn the_defaults_are_what_the_reference_says() {
         // A deadline means something only in latest delivery, a slack only with a live source, and these sections only
         // when they are asked for.
         let only = ["source.street", "source.hot_pixels", "source.frames"];
-        let means = !["deadline", "slack"].contains(&key.key) && !only.contains(&key.section.as_str());
+        let means =
+            !["deadline", "slack", "hold"].contains(&key.key) && !only.contains(&key.section.as_str());
         if let Some(default) = key.default.filter(|_| means) {
             *sections.entry(key.section).or_default() += &format!("{} = {default}\n", key.key);
         }

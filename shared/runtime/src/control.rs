@@ -11,13 +11,16 @@ use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
+use tracing::warn;
 
 /// A client that does not say what it wants within this time is sent away.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Longest time until a change has taken effect and is answered.
 const REPLY_TIMEOUT: Duration = Duration::from_secs(10);
+/// Clients that are served at a time.
+const MAX_CLIENTS: usize = 16;
 const MAX_REQUEST_BYTES: u64 = 64 << 10;
 
 /// What can be asked of a running instance.
@@ -36,7 +39,50 @@ pub enum ControlRequest {
         enabled: Option<bool>,
         /// Their weight, if that changes: finite, not negative.
         weight: Option<f64>,
+        /// With `enabled: false`: networks that work for nobody else need not stay in memory.
+        #[serde(default)]
+        unload: bool,
     },
+    /// Changes the fuser's settings from the next tick on.
+    Configure {
+        /// Sequence length, ticks: 1 to [`MAX_LENGTH`].
+        length: Option<u32>,
+        /// Name of the fusion rule.
+        rule: Option<String>,
+        /// Latest delivery: when an answer is due after its last window closed, ns.
+        deadline_ns: Option<u64>,
+    },
+}
+
+/// The longest sequence, ticks, as in configurations.
+pub const MAX_LENGTH: u32 = 1_000;
+/// The longest deadline, ns: an hour.
+pub(crate) const MAX_DEADLINE_NS: u64 = 3_600_000_000_000;
+
+/// Who asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Peer {
+    pub(crate) uid: u32,
+    pub(crate) pid: i32,
+}
+
+impl std::fmt::Display for Peer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "uid {} pid {}", self.uid, self.pid)
+    }
+}
+
+/// A change of settings.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Change {
+    /// When it was asked for, ms since 1970.
+    pub at_unix_ms: u64,
+    /// Who asked: user and process of whoever was connected to the socket, or `governor`.
+    pub who: String,
+    /// What changed.
+    pub what: String,
+    /// The first tick at which it holds; none while no tick has opened since.
+    pub from_tick: Option<u64>,
 }
 
 /// One member's settings.
@@ -46,6 +92,9 @@ pub struct MemberState {
     pub name: String,
     /// Whether it is enabled.
     pub enabled: bool,
+    /// Whether it is off because the governor shed it.
+    #[serde(default)]
+    pub shed: bool,
     /// Its weight.
     pub weight: f64,
 }
@@ -77,6 +126,7 @@ impl ControlReply {
 #[derive(Debug)]
 pub(crate) struct Asked {
     pub(crate) request: ControlRequest,
+    pub(crate) peer: Peer,
     pub(crate) reply: Sender<ControlReply>,
 }
 
@@ -113,6 +163,7 @@ impl ControlServer {
         let (asked, requests) = bounded(4);
         let closing = Arc::new(AtomicBool::new(false));
         let closed = closing.clone();
+        let under_way = Arc::new(AtomicUsize::new(0));
         let thread = std::thread::Builder::new()
             .name("control".to_owned())
             .spawn(move || {
@@ -120,9 +171,23 @@ impl ControlServer {
                     if closed.load(Ordering::Acquire) {
                         return;
                     }
-                    if let Ok(stream) = stream {
-                        // A client that hangs up early is its own affair.
-                        let _ = serve(&stream, &asked, &wake);
+                    let Ok(stream) = stream else { continue };
+                    if under_way.fetch_add(1, Ordering::AcqRel) >= MAX_CLIENTS {
+                        under_way.fetch_sub(1, Ordering::AcqRel);
+                        continue; // dropped: it is told so by the end of the stream
+                    }
+                    let (asked, wake, done) = (asked.clone(), wake.clone(), under_way.clone());
+                    // One thread per client, so that one that dawdles keeps nobody else waiting.
+                    let served = std::thread::Builder::new()
+                        .name("client".to_owned())
+                        .spawn(move || {
+                            // A client that hangs up early is its own affair.
+                            let _ = serve(&stream, &asked, &wake);
+                            done.fetch_sub(1, Ordering::AcqRel);
+                        });
+                    if let Err(e) = served {
+                        warn!("a control request cannot be served: {e}");
+                        under_way.fetch_sub(1, Ordering::AcqRel);
                     }
                 }
             })
@@ -154,13 +219,18 @@ impl Drop for ControlServer {
 fn serve(stream: &UnixStream, asked: &Sender<Asked>, wake: &WakeSender) -> std::io::Result<()> {
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
+    let peer = nix::sys::socket::getsockopt(&stream, nix::sys::socket::sockopt::PeerCredentials)?;
+    let peer = Peer {
+        uid: peer.uid(),
+        pid: peer.pid(),
+    };
     let mut line = String::new();
     BufReader::new(stream.take(MAX_REQUEST_BYTES)).read_line(&mut line)?;
     let reply = match serde_json::from_str(&line) {
         Ok(request) => {
             let (reply, answered) = bounded(1);
             let unanswered = || ControlReply::refusal("the instance is stopping".to_owned());
-            match asked.send(Asked { request, reply }) {
+            match asked.send(Asked { request, peer, reply }) {
                 Ok(()) => {
                     wake.wake();
                     answered

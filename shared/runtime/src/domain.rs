@@ -4,8 +4,9 @@
 use crate::RuntimeError;
 use crate::channel::Ipc;
 use evpr_core::Plan;
-use evpr_core::message::MemberSetting;
-use evpr_core::stage::OpenedTick;
+use evpr_core::message::{FuseSettings, MemberSetting};
+use evpr_core::plan::{self, Rule};
+use evpr_core::stage::{self, OpenedTick};
 use iceoryx2::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
@@ -44,29 +45,76 @@ pub(crate) struct Schedule {
     pub(crate) newest: Option<OpenedTick>,
 }
 
-/// What the members of the plan shall be.
+/// What a member of the plan shall be.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Wanted {
+    /// It is wanted, and the governor has not shed it.
+    pub(crate) enabled: bool,
+    pub(crate) weight: f64,
+    /// While it is off, its networks need not stay in memory.
+    pub(crate) unload: bool,
+}
+
+/// What of the fuser's settings has been changed.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct WantedFuse {
+    pub(crate) length: Option<u32>,
+    pub(crate) rule: Option<Rule>,
+    pub(crate) deadline_ns: Option<u64>,
+}
+
+impl WantedFuse {
+    pub(crate) fn message(&self) -> FuseSettings {
+        FuseSettings {
+            length: self.length.unwrap_or(0),
+            rule: self.rule.map_or(0, |rule| rule.code()),
+            trim: match self.rule {
+                Some(Rule::TrimmedMean { trim }) => trim,
+                _ => 0.0,
+            },
+            deadline_ns: self.deadline_ns.unwrap_or(0),
+        }
+    }
+}
+
+/// What can change while the run goes on, as it is wanted.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) struct Settings {
     pub(crate) version: u64,
-    /// (enabled, weight) per member.
-    pub(crate) members: Vec<(bool, f64)>,
+    pub(crate) fuse: WantedFuse,
+    pub(crate) members: Vec<Wanted>,
 }
 
 impl Settings {
     pub(crate) fn of_plan(plan: &Plan) -> Self {
+        let wanted = |m: &plan::Member| Wanted {
+            enabled: m.enabled,
+            weight: m.weight,
+            unload: false,
+        };
         Self {
             version: 0,
-            members: plan.members.iter().map(|m| (m.enabled, m.weight)).collect(),
+            fuse: WantedFuse::default(),
+            members: plan.members.iter().map(wanted).collect(),
         }
     }
 
     pub(crate) fn messages(&self) -> Vec<MemberSetting> {
-        let message = |(enabled, weight): &(bool, f64)| MemberSetting {
-            weight: *weight,
-            enabled: u32::from(*enabled),
-            ..MemberSetting::default()
+        let message = |wanted: &Wanted| MemberSetting {
+            weight: wanted.weight,
+            enabled: u32::from(wanted.enabled),
+            unload: u32::from(wanted.unload),
         };
         self.members.iter().map(message).collect()
+    }
+
+    /// As ingest takes them.
+    pub(crate) fn for_ingest(&self) -> stage::Settings {
+        stage::Settings {
+            version: self.version,
+            fuse: self.fuse.message(),
+            members: self.messages(),
+        }
     }
 }
 

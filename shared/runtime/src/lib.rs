@@ -19,9 +19,11 @@ mod trace;
 mod wait;
 
 pub use clock::now_ns;
-pub use control::{ControlReply, ControlRequest, MemberState, request};
+pub use control::{Change, ControlReply, ControlRequest, MAX_LENGTH, MemberState, request};
 pub use domain::{RunFolder, RunSpec};
-pub use profile::{LatencyStatus, MemberStatus, Quantiles, ServiceStatus, Status, Times};
+pub use profile::{
+    FuseStatus, GovernorStatus, LatencyStatus, MemberStatus, Quantiles, ServiceStatus, Status, Times,
+};
 pub use run::{Identity, ServiceContext, run_ingest, run_sink, run_stage};
 pub use shm::{ShmRoom, room};
 pub use stop::Stop;

@@ -1,6 +1,6 @@
 //! What a run looks like at one moment, as `evpr status`, `evpr top` and `/metrics` show it.
 
-use crate::control::MemberState;
+use crate::control::{Change, MemberState};
 use evpr_core::message::Histogram;
 use serde::{Deserialize, Serialize};
 
@@ -173,4 +173,34 @@ pub struct Status {
     pub services: Vec<ServiceStatus>,
     /// Per member of the plan.
     pub members: Vec<MemberStatus>,
+    /// The fuser's settings in force.
+    pub fuse: FuseStatus,
+    /// The latency governor, where there is one.
+    #[serde(default)]
+    pub governor: Option<GovernorStatus>,
+    /// The newest changes, oldest first.
+    #[serde(default)]
+    pub changes: Vec<Change>,
+}
+
+/// The fuser's settings.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct FuseStatus {
+    /// Sequence length, ticks.
+    pub length: u32,
+    /// Fusion rule.
+    pub rule: String,
+    /// Latest delivery: when an answer is due after its last window closed, ms.
+    pub deadline_ms: f64,
+}
+
+/// The latency governor.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct GovernorStatus {
+    /// What it keeps the 95th percentile of window-close to answer below, ms.
+    pub budget_ms: f64,
+    /// That percentile over the answers that it judges; none without any.
+    pub p95_ms: Option<f64>,
+    /// The members that are off because of it, in the order in which they went.
+    pub shed: Vec<String>,
 }

@@ -174,7 +174,12 @@ impl Telemetry {
 
     /// Sends the counters if it is time.
     pub(crate) fn beat(&mut self) -> Result<(), RuntimeError> {
-        if now_ns().saturating_sub(self.sent_ns) >= HEARTBEAT.as_nanos() as u64 {
+        self.beat_within(HEARTBEAT)
+    }
+
+    /// Sends the counters if they are older than this.
+    pub(crate) fn beat_within(&mut self, age: Duration) -> Result<(), RuntimeError> {
+        if now_ns().saturating_sub(self.sent_ns) >= age.as_nanos() as u64 {
             self.send()?;
         }
         Ok(())
@@ -189,7 +194,8 @@ impl Telemetry {
         self.span(header, started_ns, now);
     }
 
-    fn span(&mut self, header: &impl Header, start_ns: u64, end_ns: u64) {
+    /// Notes a stretch of work on an input.
+    pub(crate) fn span(&mut self, header: &impl Header, start_ns: u64, end_ns: u64) {
         if self.traced {
             self.spans.push(Span {
                 sent_ns: header.stamp().sent_ns,

@@ -1,25 +1,45 @@
 //! `evpr member`: the ensemble of a running instance.
 
-use crate::args::{InstanceArgs, MemberCommand};
+use crate::args::{InstanceArgs, MemberCommand, SetArgs, Setting};
 use crate::failure::Failure;
 use crate::output::say;
-use evpr_runtime::{ControlRequest, RunFolder};
+use evpr_runtime::{ControlRequest, MemberState, RunFolder};
 use std::process::ExitCode;
 
 /// `evpr member …`.
 pub(crate) fn member(command: MemberCommand) -> Result<ExitCode, Failure> {
-    let set = |members, enabled, weight| ControlRequest::Set {
+    let set = |members, enabled, weight, unload| ControlRequest::Set {
         members,
         enabled,
         weight,
+        unload,
     };
     let (instance, request) = match command {
         MemberCommand::List(instance) => (instance, ControlRequest::List),
-        MemberCommand::Enable(args) => (args.instance, set(args.members, Some(true), None)),
-        MemberCommand::Disable(args) => (args.instance, set(args.members, Some(false), None)),
-        MemberCommand::Weight(args) => (args.instance, set(args.members, None, Some(args.weight))),
+        MemberCommand::Enable(args) => (args.instance, set(args.members, Some(true), None, false)),
+        MemberCommand::Disable(args) => (
+            args.set.instance,
+            set(args.set.members, Some(false), None, args.unload),
+        ),
+        MemberCommand::Weight(args) => (args.instance, set(args.members, None, Some(args.weight), false)),
     };
     ask(&instance, &request)
+}
+
+/// `evpr set`.
+pub(crate) fn set(args: SetArgs) -> Result<ExitCode, Failure> {
+    let (mut length, mut rule, mut deadline_ns) = (None, None, None);
+    match args.setting {
+        Setting::Length { ticks } => length = Some(ticks),
+        Setting::Rule { rule: name } => rule = Some(name),
+        Setting::Deadline { deadline } => deadline_ns = Some(deadline),
+    }
+    let request = ControlRequest::Configure {
+        length,
+        rule,
+        deadline_ns,
+    };
+    ask(&args.instance, &request)
 }
 
 fn ask(instance: &InstanceArgs, request: &ControlRequest) -> Result<ExitCode, Failure> {
@@ -36,19 +56,23 @@ fn ask(instance: &InstanceArgs, request: &ControlRequest) -> Result<ExitCode, Fa
             let width = reply.members.iter().map(|m| m.name.len()).max().unwrap_or(6);
             say!("{:<width$}  {:<8}  weight", "member", "state");
             for m in &reply.members {
-                say!(
-                    "{:<width$}  {:<8}  {}",
-                    m.name,
-                    if m.enabled { "enabled" } else { "disabled" },
-                    m.weight
-                );
+                say!("{:<width$}  {:<8}  {}", m.name, state(m), m.weight);
             }
         }
-        (ControlRequest::Set { .. }, Some(tick)) => say!("in force from tick {tick} on"),
+        (_, Some(tick)) => say!("in force from tick {tick} on"),
         (ControlRequest::Status, _) => {}
-        (ControlRequest::Set { .. }, None) => {
+        (_, None) => {
             say!("accepted, but no tick has opened since; it takes effect with the next one that does")
         }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A member's state in a word.
+pub(crate) fn state(member: &MemberState) -> &'static str {
+    match (member.enabled, member.shed) {
+        (true, _) => "enabled",
+        (false, true) => "shed",
+        (false, false) => "disabled",
+    }
 }

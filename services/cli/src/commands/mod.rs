@@ -14,10 +14,11 @@ pub(crate) mod run;
 mod sequence_match;
 mod service;
 mod status;
+mod top;
 mod trace;
 
 pub(crate) use events::Crop;
-pub(crate) use status::ask as ask_status;
+pub(crate) use status::{ask as ask_status, count as count_text, doing as doing_text, time as time_text};
 
 use crate::args::{Args, Command, CompletionArgs};
 use crate::failure::Failure;
@@ -39,6 +40,8 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Choose(args) => choose::choose(&args),
         Command::Status(args) => status::status(&args),
+        Command::Top(args) => top::top(&args),
+        Command::Set(args) => member::set(args),
         Command::Trace(args) => trace::trace(&args),
         Command::SequenceMatch(args) => sequence_match::sequence_match(&args),
         Command::Validate(args) => graph::validate(&args),

@@ -1,5 +1,6 @@
 //! `evpr status`: a running instance at one moment.
 
+use super::member::state as member_state;
 use crate::args::InstanceArgs;
 use crate::failure::Failure;
 use crate::output::say;
@@ -164,13 +165,36 @@ fn print(status: &Status) {
         say!(
             "{:<width$}  {:<8} {:>7} {:>8} {:>15.3} {:>11.3} {:>7.3}",
             m.state.name,
-            if m.state.enabled { "enabled" } else { "disabled" },
+            member_state(&m.state),
             m.state.weight,
             m.rows,
             m.reconstruct_ms,
             m.extract_ms,
             m.cost_ms()
         );
+    }
+    let f = &status.fuse;
+    say!();
+    say!(
+        "fuse: length {}, rule {}, deadline {} ms",
+        f.length,
+        f.rule,
+        f.deadline_ms
+    );
+    if let Some(g) = &status.governor {
+        let p95 = g.p95_ms.map_or("-".to_owned(), |ms| format!("{ms:.1}"));
+        let shed = if g.shed.is_empty() {
+            "nobody".to_owned()
+        } else {
+            g.shed.join(" ")
+        };
+        say!("governor: p95 {p95} ms of {} ms; shed: {shed}", g.budget_ms);
+    }
+    for c in &status.changes {
+        let when = c
+            .from_tick
+            .map_or("the next tick that opens".to_owned(), |t| format!("tick {t}"));
+        say!("change: from {when} on, by {}: {}", c.who, c.what);
     }
 }
 

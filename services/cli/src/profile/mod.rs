@@ -1,4 +1,5 @@
 //! Looking into a running instance: traces, metrics, the live view.
 
 pub(crate) mod metrics;
+pub(crate) mod top;
 pub(crate) mod trace;

@@ -97,6 +97,7 @@ impl TraceWriter {
                 .map_or("?", |m| m.name.as_str())
         };
         match (kind, of) {
+            _ if part == u32::MAX => "tick".to_owned(),
             (ServiceKind::Ingest, _) | (ServiceKind::Reconstruct, SpanKind::Input) if part == 0 => {
                 "chunk".to_owned()
             }
@@ -159,7 +160,7 @@ impl TraceWriter {
         ));
         match of {
             SpanKind::Input => {
-                if kind == ServiceKind::Fuse {
+                if kind == ServiceKind::Fuse && span.part != u32::MAX {
                     if self.rows.len() >= MAX_OPEN_ROWS {
                         self.rows.clear();
                     }
@@ -184,6 +185,7 @@ impl TraceWriter {
     /// The arrows that begin, pass by or end at an output.
     fn flow(&mut self, tid: usize, kind: ServiceKind, span: &Span) {
         let (ph, members) = match kind {
+            ServiceKind::Ingest if span.part == u32::MAX => return,
             ServiceKind::Ingest => ("s", self.members(kind, span)),
             ServiceKind::Reconstruct => ("t", self.members(kind, span)),
             ServiceKind::Extract => ("t", self.members(kind, span)),

@@ -168,6 +168,32 @@ impl SequenceMatcher {
         }
     }
 
+    /// Changes L, after so many ticks and before the next is taken. What is in the window stays, as far as it fits: a longer
+    /// one grows from there tick by tick, as it does at the start.
+    #[must_use]
+    pub fn with_length(self, method: SequenceMethod, length: usize, valid: &[bool]) -> Self {
+        let mut longer = Self::new(method, length, valid);
+        if longer.width != self.width {
+            return longer;
+        }
+        let kept = self.taken.min(longer.length);
+        for lag in (0..kept).rev() {
+            let from = (self.newest + self.length - lag) % self.length;
+            let to = (longer.newest + 1) % longer.length;
+            let row = &self.ring[from * self.width..(from + 1) * self.width];
+            let copy = &mut longer.ring[to * self.width..(to + 1) * self.width];
+            copy.copy_from_slice(row);
+            // With L = 1 rows are kept as they are.
+            if let (Method::Rows, Method::Alone, true) = (&longer.method, &self.method, self.present[from]) {
+                standardise(copy);
+            }
+            longer.present[to] = self.present[from];
+            longer.newest = to;
+        }
+        longer.taken = kept;
+        longer
+    }
+
     /// How many of the last L ticks have a row, the newest included.
     pub fn history(&self) -> usize {
         self.present.iter().filter(|p| **p).count()

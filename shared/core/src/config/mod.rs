@@ -7,6 +7,7 @@
 mod error;
 mod frames;
 mod fuse;
+mod governor;
 mod inference;
 mod members;
 mod noise;
@@ -33,9 +34,9 @@ pub use words::{
 };
 
 use crate::plan::{
-    Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Inference, LiveSource, Member,
-    OnBadEvent, OnOtherSize, Pace, Plan, Positions, Reconstruction, RowType, Sensor, Slicing, Source, Street,
-    StreetPass,
+    Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Governor, Inference, LiveSource,
+    Member, OnBadEvent, OnOtherSize, Pace, Plan, Positions, Reconstruction, RowType, Sensor, Slicing, Source,
+    Street, StreetPass,
 };
 use positions::PositionsSection;
 use reader::Table;
@@ -59,6 +60,7 @@ pub struct Config {
     inference: Inference,
     record_rows: RowType,
     runtime: RuntimeSection,
+    governor: Option<Governor>,
     /// Where to point when the sensor or the recording turns out to be wrong or missing.
     places: Places,
 }
@@ -158,6 +160,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
     let inference = inference::inference(root.section("inference"));
     let record_rows = schema::record(root.section("record"));
     let runtime = schema::runtime(root.section("runtime"));
+    let governor = governor::governor(root.section("governor"), members.as_deref());
     root.close();
     let positions = positions?;
     Some(Config {
@@ -173,6 +176,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
         inference: inference?,
         record_rows: record_rows?,
         runtime: runtime?,
+        governor: governor?,
         places: Places {
             sensor: sink.error(&sensor_at, ""),
             source: sink.error(&source_at, ""),
@@ -392,6 +396,7 @@ impl Config {
             inference: self.inference.clone(),
             delivery: overrides.delivery.unwrap_or(self.runtime.delivery),
             deadline_ns: self.runtime.deadline_ns,
+            governor: self.governor.clone(),
             map: overrides.map.clone(),
             record: overrides.record.clone(),
             record_rows: self.record_rows,

@@ -21,10 +21,11 @@ fn layouts_are_as_published() {
         height: 108, width: 112, channel_order: 116, reason: 120, extractors: 124);
     layout!(DescriptorHeader, 120,  stamp: 0, tick: 40, life: 48, epoch: 88, member: 92, reason: 96, dim: 100,
         reconstruct_service: 104, reconstruct_incarnation: 108, together: 112);
-    layout!(TickHeader, 136,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, east_m: 72, north_m: 80,
-        control_version: 88, members: 96, epoch: 128, kind: 132);
-    layout!(MemberSetting, 16, weight: 0, enabled: 8);
-    layout!(ControlHeader, 48,  stamp: 0, version: 40);
+    layout!(TickHeader, 160,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, east_m: 72, north_m: 80,
+        control_version: 88, members: 96, fuse: 128, epoch: 152, kind: 156);
+    layout!(FuseSettings, 24, length: 0, rule: 4, trim: 8, deadline_ns: 16);
+    layout!(MemberSetting, 16, weight: 0, enabled: 8, unload: 12);
+    layout!(ControlHeader, 72,  stamp: 0, version: 40, fuse: 48);
     layout!(ServiceState, 16, incarnation: 0, dead_through: 4, health: 8);
     layout!(LifecycleHeader, 48,  stamp: 0, version: 40);
     layout!(Candidate, 16, score: 0, reference: 8);

@@ -25,7 +25,7 @@ pub use matched::{Candidate, MatchHeader, Matches};
 pub use span::{Span, SpanKind, Spans, SpansHeader};
 pub use stamp::{Life, Stamp};
 pub use stats::{Doing, Histogram, LiveStats, MemberCost, ServicePhase, Stats, StatsHeader};
-pub use tick::{Control, ControlHeader, MemberSetting, TickHeader, TickKind, Ticks};
+pub use tick::{Control, ControlHeader, FuseSettings, MemberSetting, TickHeader, TickKind, Ticks};
 
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -51,7 +51,7 @@ pub trait Header: Copy + Default + std::fmt::Debug + ZeroCopySend + 'static {
         0
     }
     /// Which part of its tick it is: chunks: the windows that it closes, as bits; frames: reconstruction << 16 | window;
-    /// rows: the member.
+    /// rows: the member; ticks: all bits.
     fn part(&self) -> u32 {
         0
     }

@@ -29,10 +29,25 @@ impl TickKind {
     }
 }
 
+/// What of the fuser's settings changes while it runs. 0 stands for what the plan says.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[type_name("evpr.FuseSettings.1")]
+pub struct FuseSettings {
+    /// Sequence length, ticks.
+    pub length: u32,
+    /// [`crate::plan::Rule::code`].
+    pub rule: u32,
+    /// The share that the rule `trimmed_mean` leaves out at either end.
+    pub trim: f64,
+    /// Latest delivery: the answer is due this long after the tick's last window closed, ns.
+    pub deadline_ns: u64,
+}
+
 /// Header of a tick message.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("evpr.TickHeader.2")]
+#[type_name("evpr.TickHeader.3")]
 pub struct TickHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
@@ -53,6 +68,8 @@ pub struct TickHeader {
     pub control_version: u64,
     /// The members enabled at this tick.
     pub members: MemberSet,
+    /// The fuser's settings at this tick.
+    pub fuse: FuseSettings,
     /// How often ingest had been started.
     pub epoch: u32,
     /// Number of a [`TickKind`].
@@ -79,13 +96,14 @@ impl Default for TickHeader {
             north_m: f64::NAN,
             control_version: 0,
             members: MemberSet::default(),
+            fuse: FuseSettings::default(),
             epoch: 0,
             kind: 0,
         }
     }
 }
 
-header!(TickHeader, tick: tick);
+header!(TickHeader, tick: tick; closed_ns: |h| h.closed_ns, part: |_| u32::MAX);
 
 /// Tick messages; the payload is a weight per member (f64) with [`TickKind::Open`] and is empty otherwise.
 #[derive(Debug)]
@@ -99,25 +117,27 @@ impl Message for Ticks {
 /// What a member shall be from the next tick on.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[type_name("evpr.MemberSetting.1")]
+#[type_name("evpr.MemberSetting.2")]
 pub struct MemberSetting {
     /// Its weight in the sum.
     pub weight: f64,
     /// 1 when enabled, else 0.
     pub enabled: u32,
-    /// Unused.
-    pub _pad: u32,
+    /// 1 where a network that works for no enabled member shall not be kept in memory, else 0.
+    pub unload: u32,
 }
 
 /// Header of a control message: the whole wanted state, newest version wins.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]
-#[type_name("evpr.ControlHeader.1")]
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[type_name("evpr.ControlHeader.2")]
 pub struct ControlHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
     /// Grows by one with each change.
     pub version: u64,
+    /// The fuser's settings.
+    pub fuse: FuseSettings,
 }
 
 header!(ControlHeader);

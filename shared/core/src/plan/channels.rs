@@ -19,7 +19,7 @@ pub enum Topic {
     Ticks,
     /// Answers.
     Matches,
-    /// Wanted members and weights, supervisor to ingest.
+    /// Wanted members, weights and settings, supervisor to ingest; stages learn by it what need not stay in memory.
     Control,
     /// Who is dead, supervisor to the sinks.
     Lifecycle,
@@ -198,7 +198,7 @@ impl Plan {
             add(Topic::Matches, self.fuse.top.max(1), item, header, 1, 1, 64, true);
         }
         let (header, item) = (size_of::<ControlHeader>(), size_of::<MemberSetting>());
-        add(Topic::Control, members, item, header, 1, 1, 4, false);
+        add(Topic::Control, members, item, header, 1, 1 + stages, 4, false);
         let services = self.services().len();
         let (header, item) = (size_of::<LifecycleHeader>(), size_of::<ServiceState>());
         add(Topic::Lifecycle, services, item, header, 1, sinks, 4, false);

@@ -214,6 +214,38 @@ impl Rule {
     /// Trims that can be asked for.
     pub const TRIMS: RangeInclusive<f64> = 0.0..=0.49;
 
+    /// Its number, from 1, in [`crate::message::FuseSettings`].
+    pub fn code(&self) -> u32 {
+        match self {
+            Self::Sum => 1,
+            Self::Mean => 2,
+            Self::Max => 3,
+            Self::Median => 4,
+            Self::Product => 5,
+            Self::TrimmedMean { .. } => 6,
+        }
+    }
+
+    /// The rule with this number; `trim` is that of `trimmed_mean`.
+    pub fn from_code(code: u32, trim: f64) -> Option<Self> {
+        let rules = [
+            Self::Sum,
+            Self::Mean,
+            Self::Max,
+            Self::Median,
+            Self::Product,
+            Self::TrimmedMean { trim },
+        ];
+        rules.into_iter().find(|rule| rule.code() == code)
+    }
+
+    /// The rule of this name, with the trim it has where none is named.
+    pub fn named(name: &str) -> Option<Self> {
+        (1..=6)
+            .filter_map(|code| Self::from_code(code, Self::TRIM))
+            .find(|rule| rule.name() == name)
+    }
+
     /// Its name in configurations.
     pub fn name(&self) -> &'static str {
         match self {

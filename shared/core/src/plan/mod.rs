@@ -230,6 +230,9 @@ pub struct Plan {
     pub delivery: Delivery,
     /// Latest delivery: the answer is due this long after the tick's last window closed, ns.
     pub deadline_ns: u64,
+    /// The latency that members are shed to keep, if it is kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub governor: Option<Governor>,
     /// The reference map, when the graph has a fuser.
     pub map: Option<PathBuf>,
     /// The traverse to record, when the graph has a recorder.
@@ -237,6 +240,17 @@ pub struct Plan {
     /// How the recorder keeps rows.
     #[serde(default)]
     pub record_rows: RowType,
+}
+
+/// The latency governor: sheds members where window-close → answer takes longer than the budget, and takes them back.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Governor {
+    /// The 95th percentile of window-close → answer is kept below this, ns.
+    pub budget_ns: u64,
+    /// Members in the order in which they are shed, by index; those that are not named never are. Empty: all, by price.
+    pub order: Vec<usize>,
+    /// Answers within the budget after which a member is tried again; doubled each time that fails.
+    pub hold: u32,
 }
 
 /// A kind of process.
@@ -441,6 +455,7 @@ pub fn test_plan() -> Plan {
         inference: Inference::default(),
         delivery: Delivery::Lossless,
         deadline_ns: 1_000_000_000,
+        governor: None,
         map: Some(PathBuf::from("map")),
         record: None,
         record_rows: RowType::F32,

@@ -8,11 +8,10 @@ use crate::domain::Schedule;
 use crate::telemetry::HEARTBEAT;
 use crate::wait::{Waiter, wait_set};
 use evpr_core::message::{
-    ChunkHeader, Chunks, Control, Doing, Event, LiveStats, MemberSetting, ServicePhase, TickHeader, TickKind,
-    Ticks,
+    ChunkHeader, Chunks, Control, Doing, Event, LiveStats, ServicePhase, TickHeader, TickKind, Ticks,
 };
 use evpr_core::plan::{Delivery, Topic};
-use evpr_core::stage::{IngestPort, OpenedTick, Outlet, StageError};
+use evpr_core::stage::{IngestPort, OpenedTick, Outlet, Settings, StageError};
 use std::time::Duration;
 use tracing::{debug, warn};
 
@@ -24,7 +23,7 @@ struct Port {
     /// What held when this process was started.
     inherited: Schedule,
     /// The newest settings that came since, until a tick opens for which they can hold.
-    came: Option<(u64, Vec<MemberSetting>)>,
+    came: Option<Settings>,
     version: u64,
     /// The end of the stream, once it is said.
     end: Option<TickHeader>,
@@ -82,35 +81,44 @@ impl IngestPort for Port {
             // Looked at before the end goes out: once it is out, the supervisor may ask this process to go.
             self.stops_at_end = self.ctx.stop.count();
         }
+        self.ticks.started_ns = now_ns();
         self.ticks
-            .emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))
+            .emit(header, weights.len(), &mut |slots| slots.copy_from_slice(weights))?;
+        self.ctx
+            .telemetry
+            .collect(&mut self.ticks.record)
+            .map_err(|e| StageError::Fatal(e.to_string()))
     }
 
-    fn control(&mut self, tick: u64) -> Option<(u64, Vec<MemberSetting>)> {
+    fn control(&mut self, tick: u64) -> Option<Settings> {
         loop {
             match self.control.receive() {
-                Ok(Some(message)) => self.came = Some((message.header().version, message.payload().to_vec())),
+                Ok(Some(message)) => {
+                    let header = message.header();
+                    self.came = Some(Settings {
+                        version: header.version,
+                        fuse: header.fuse,
+                        members: message.payload().to_vec(),
+                    });
+                }
                 Ok(None) => break,
                 Err(e) => {
-                    warn!("member settings cannot be received: {e}");
+                    warn!("settings cannot be received: {e}");
                     break;
                 }
             }
         }
         let old = self.inherited.entries.iter().rfind(|(from, _)| *from <= tick);
-        let old = old.map(|(_, settings)| (settings.version, settings.messages()));
+        let old = old.map(|(_, settings)| settings.for_ingest());
         let new = if tick >= self.inherited.opened_before {
             self.came.take()
         } else {
             None
         };
-        let newest = [old, new]
-            .into_iter()
-            .flatten()
-            .max_by_key(|(version, _)| *version);
-        let (version, settings) = newest.filter(|(version, _)| *version > self.version)?;
-        self.version = version;
-        Some((version, settings))
+        let newest = [old, new].into_iter().flatten().max_by_key(|s| s.version);
+        let settings = newest.filter(|s| s.version > self.version)?;
+        self.version = settings.version;
+        Some(settings)
     }
 
     fn wait_until(&mut self, ns: u64) -> Result<(), StageError> {

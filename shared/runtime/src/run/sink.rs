@@ -6,12 +6,16 @@ use crate::channel::{ChannelReceiver, ChannelSender, NoOutlet};
 use crate::clock::now_ns;
 use crate::telemetry::{HEARTBEAT, RateLimit};
 use crate::wait::{Waiter, wait_set};
-use evpr_core::message::{Descriptors, Lifecycle, Matches, MemberCost, ServicePhase, ServiceState, Ticks};
+use evpr_core::message::{
+    Descriptors, Lifecycle, Matches, MemberCost, ServicePhase, ServiceState, TickKind, Ticks,
+};
 use evpr_core::plan::Topic;
 use evpr_core::stage::{Outlet, Sink, StageError};
 use std::time::Duration;
 use tracing::{debug, trace, warn};
 
+/// How often a sink says what members cost where somebody acts on it.
+const GOVERNED: Duration = Duration::from_millis(20);
 /// Messages taken from one channel before the others have their turn.
 const BATCH: usize = 32;
 
@@ -58,7 +62,11 @@ impl Inputs<'_> {
                 break;
             };
             came = true;
+            let started = now_ns();
             let outcome = sink.tick(message.header(), message.payload());
+            if message.header().kind == TickKind::Close as u32 {
+                ctx.telemetry.span(message.header(), started, now_ns());
+            }
             trace!(
                 tick = message.header().tick,
                 kind = message.header().kind,
@@ -148,12 +156,17 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
     let mut listeners: Vec<_> = channels.rows.iter().map(ChannelReceiver::listener).collect();
     listeners.extend([channels.ticks.listener(), channels.lifecycle.listener(), &wake]);
     let waiter = Waiter::new(&set, listeners)?;
+    let governed = ctx.plan.governor.is_some();
     let mut done = false;
     while !ctx.stop.requested() {
         ctx.telemetry.rests();
         waiter.wait(timeout(sink.deadline_ns()))?;
         loop {
             let came = inputs.turn(&mut ctx, sink)?;
+            if came && governed {
+                // The costs of a tick are known where its answer is judged.
+                ctx.telemetry.beat_within(GOVERNED)?;
+            }
             let started = now_ns();
             let before = sink.next_tick();
             if let Some(sender) = &mut matches {

@@ -6,11 +6,13 @@ use crate::channel::{ChannelReceiver, ChannelSender, Incoming};
 use crate::clock::now_ns;
 use crate::telemetry::{HEARTBEAT, RateLimit};
 use crate::wait::{Waiter, wait_set};
-use evpr_core::message::{Header, ServicePhase, TickKind, Ticks};
-use evpr_core::plan::{Delivery, Topic};
+use evpr_core::message::{Control, Header, ServicePhase, TickKind, Ticks};
+use evpr_core::plan::{Delivery, Member, ServiceKind, Topic};
 use evpr_core::stage::{Stage, StageError};
 use std::collections::VecDeque;
-use tracing::{debug, warn};
+use std::path::PathBuf;
+use std::time::Duration;
+use tracing::{debug, info, warn};
 
 /// Ticks that may lie between the one in hand and the newest before the stage counts as behind: what the buffers of
 /// `latest` delivery hold.
@@ -39,11 +41,86 @@ impl TickDrop {
     }
 }
 
+/// Whether the stage shall give memory back.
+struct Unload {
+    control: ChannelReceiver<Control>,
+    /// The members that the stage works for.
+    members: Vec<usize>,
+    wanted: bool,
+    /// Messages sent when it was looked last, and when that number last changed.
+    sent: u64,
+    changed_ns: u64,
+}
+
+impl Unload {
+    /// A stage that has sent nothing for so long has nothing under way for members that were just switched off.
+    const IDLE_NS: u64 = 1_000_000_000;
+
+    fn new(ctx: &ServiceContext) -> Result<Self, RuntimeError> {
+        let (kind, index) = (ctx.service.kind, ctx.service.index);
+        let works_for = |m: &Member| match kind {
+            ServiceKind::Reconstruct => m.reconstruction == index,
+            _ => m.extractor == index,
+        };
+        let members = ctx.plan.members.iter().enumerate();
+        Ok(Self {
+            control: ctx.receiver(&Topic::Control)?,
+            members: members.filter(|(_, m)| works_for(m)).map(|(i, _)| i).collect(),
+            wanted: false,
+            sent: 0,
+            changed_ns: now_ns(),
+        })
+    }
+
+    /// Whether it is time to unload.
+    fn is_due(&mut self, sent: u64) -> Result<bool, RuntimeError> {
+        while let Some(message) = self.control.receive()? {
+            let settings = message.payload();
+            let mut own = self.members.iter().filter_map(|m| settings.get(*m)).peekable();
+            self.wanted = own.peek().is_some();
+            let mut unload = false;
+            for setting in own {
+                self.wanted &= setting.enabled == 0;
+                unload |= setting.unload != 0;
+            }
+            self.wanted &= unload;
+        }
+        let now = now_ns();
+        if sent != self.sent {
+            (self.sent, self.changed_ns) = (sent, now);
+        }
+        Ok(self.wanted && now.saturating_sub(self.changed_ns) >= Self::IDLE_NS)
+    }
+}
+
+/// Makes a stage slow on purpose, for tests of what happens then: the folder that `EVPR_TEST_DELAYS` names may hold a file
+/// with the process's name (`/` as `_`) and in it the ms that each of its messages shall take longer.
+struct Delay(PathBuf);
+
+impl Delay {
+    fn of(ctx: &ServiceContext) -> Option<Self> {
+        let folder = std::env::var_os("EVPR_TEST_DELAYS")?;
+        Some(Self(
+            PathBuf::from(folder).join(ctx.service.name.replace('/', "_")),
+        ))
+    }
+
+    fn wait(&self, ctx: &ServiceContext) {
+        let text = std::fs::read_to_string(&self.0).unwrap_or_default();
+        if let Ok(ms) = text.trim().parse() {
+            // Ends early when the process is asked to stop.
+            let _ = ctx.stop.signal().recv_timeout(Duration::from_millis(ms));
+        }
+    }
+}
+
 struct Loop<'a, S: Stage> {
     stage: &'a mut S,
     sender: ChannelSender<S::Out>,
     ticks: Option<ChannelReceiver<Ticks>>,
     drop: TickDrop,
+    unload: Unload,
+    delay: Option<Delay>,
     /// Messages of ticks that were dropped whole.
     dropped: u64,
     warnings: RateLimit,
@@ -89,6 +166,9 @@ impl<S: Stage> Loop<'_, S> {
             self.dropped += 1;
             self.stage.skip_dropped(header, &mut self.sender)
         } else {
+            if let Some(delay) = &self.delay {
+                delay.wait(ctx);
+            }
             self.stage.process(header, message.payload(), &mut self.sender)
         };
         let sending_ns = self.sender.record.sending.sum_ns - sending_ns;
@@ -140,6 +220,8 @@ pub fn run_stage<S: Stage>(
         sender,
         ticks,
         drop: TickDrop::default(),
+        unload: Unload::new(&ctx)?,
+        delay: Delay::of(&ctx),
         dropped: 0,
         warnings: RateLimit::default(),
     };
@@ -180,6 +262,12 @@ pub fn run_stage<S: Stage>(
             stats.dropped = state.dropped + receivers.iter().map(ChannelReceiver::lost).sum::<u64>();
             ctx.telemetry.collect(&mut state.sender.record)?;
             ctx.telemetry.beat()?;
+        }
+        if state.unload.is_due(state.sender.sent)? && state.stage.unload() {
+            info!(
+                "{} has given its memory back; it loads again when it is needed",
+                ctx.service.name
+            );
         }
         if ctx.stop.requested() {
             return ctx.telemetry.send();

@@ -1,24 +1,25 @@
 //! The supervisor's loop.
 
 use super::Spawn;
-use super::members::Members;
+use super::members::{Handled, Members};
 use super::process::{Exit, Process};
 use super::profile::Profile;
 use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc, SUPERVISOR_READER};
 use crate::control::{ControlReply, ControlRequest, ControlServer};
 use crate::domain::{RunFolder, RunSpec};
-use crate::profile::Status;
+use crate::profile::{FuseStatus, GovernorStatus, Status};
 use crate::run::Identity;
 use crate::stop::{SignalListener, Stop, wake_pair};
 use crate::wait::{Waiter, wait_set};
 use crate::{RuntimeError, now_ns, shm, trace};
 use evpr_core::Plan;
+use evpr_core::governor::{Decision, Governor, Priced};
 use evpr_core::message::{
     Candidate, Chunks, Control, ControlHeader, Descriptors, Frames, Header, Lifecycle, LifecycleHeader,
     MatchHeader, Matches, Message, ServiceHealth, ServicePhase, Span, Spans, Stats, StatsHeader, TickKind,
     Ticks,
 };
-use evpr_core::plan::{Delivery, Service, ServiceKind, Topic};
+use evpr_core::plan::{Delivery, Fuse, Member, Service, ServiceKind, Topic};
 use evpr_core::stage::{OpenedTick, Outlet};
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
@@ -155,6 +156,11 @@ pub struct Supervisor {
     lifecycle_version: u64,
     last_cleanup: Instant,
     profile: Profile,
+    governor: Option<Governor>,
+    /// Per member: whether its window is among the last of a tick to close.
+    late: Vec<bool>,
+    /// Answers that the governor has not seen yet: latency, and version of their settings.
+    ungoverned: Vec<(u64, u64)>,
     ports: Ports,
     wake: Listener<Ipc>,
     control: ControlServer,
@@ -185,6 +191,19 @@ fn hold<M: Message>(
         .channel(topic)
         .ok_or_else(|| RuntimeError::Ipc(format!("no channel {topic}")))?;
     ChannelServices::open(node, &channel)
+}
+
+fn publish_control(control: &mut ChannelSender<Control>, members: &Members) -> Result<(), RuntimeError> {
+    let settings = members.settings.messages();
+    let header = ControlHeader {
+        version: members.settings.version,
+        fuse: members.settings.fuse.message(),
+        ..ControlHeader::default()
+    };
+    let sent = control.emit(header, settings.len(), &mut |slots| {
+        slots.copy_from_slice(&settings)
+    });
+    sent.map_err(|e| RuntimeError::Ipc(e.to_string()))
 }
 
 impl Supervisor {
@@ -279,6 +298,12 @@ impl Supervisor {
             )?,
         };
         let control = ControlServer::start(&folder, wake_sender)?;
+        let segments = plan.slicing.segments();
+        let closes = |m: &Member| segments.windows.get(m.window).map_or(0, |w| w.last);
+        let last = plan.members.iter().map(closes).max().unwrap_or(0);
+        let late = plan.members.iter().map(|m| closes(m) == last).collect();
+        let governor = plan.governor.clone();
+        let governor = governor.map(|budget| Governor::new(budget, plan.members.len()));
         let services = plan.services().len();
         let processes = plan
             .services()
@@ -307,6 +332,9 @@ impl Supervisor {
             lifecycle_version: 0,
             last_cleanup: Instant::now(),
             profile: Profile::new(services),
+            governor,
+            late,
+            ungoverned: Vec::new(),
             ports,
             wake,
             control,
@@ -472,7 +500,7 @@ impl Supervisor {
             let was_ready = process.in_phase(ServicePhase::Ready);
             process.stats = stats;
             if !message.payload().is_empty() {
-                process.costs = message.payload().to_vec();
+                process.take_costs(message.payload());
             }
             process.heard_at = Instant::now();
             if std::mem::take(&mut process.silent) {
@@ -484,6 +512,46 @@ impl Supervisor {
         }
         if heard {
             hooks.progress(&self.progress());
+        }
+        self.govern()
+    }
+
+    /// Shows the governor what has been answered, and does what it decides.
+    fn govern(&mut self) -> Result<(), RuntimeError> {
+        let Some(governor) = &mut self.governor else {
+            return Ok(());
+        };
+        for (latency_ns, version) in std::mem::take(&mut self.ungoverned) {
+            if self.state != State::Running {
+                continue;
+            }
+            let mut sinks = self.processes.iter().map(|p| p.newest_costs_ns.as_slice());
+            let costs = sinks.find(|costs| !costs.is_empty()).unwrap_or(&[]);
+            let settings = self.members.settings.members.iter().enumerate();
+            let priced: Vec<Priced> = settings
+                .map(|(member, wanted)| Priced {
+                    enabled: wanted.enabled,
+                    weight: wanted.weight,
+                    cost_ns: costs.get(member).copied().unwrap_or(0),
+                    late: self.late.get(member).copied().unwrap_or(true),
+                })
+                .collect();
+            let Some(decision) = governor.answered(latency_ns, version, &priced) else {
+                continue;
+            };
+            let ms = |ns: u64| ns as f64 / 1e6;
+            let p95 = ms(governor.p95_ns().unwrap_or(0));
+            let judged = format!("p95 {p95:.1} ms of {:.1} ms", ms(governor.budget_ns()));
+            let what = match &decision {
+                Decision::Shed(members) => {
+                    let names: Vec<&str> = members.iter().map(|m| self.members.name(*m)).collect();
+                    format!("{judged}: shed {}", names.join(" "))
+                }
+                Decision::TakeBack(member) => format!("{judged}: took {} back", self.members.name(*member)),
+            };
+            let version = self.members.govern(governor.shed(), what, Instant::now());
+            governor.decided(version);
+            publish_control(&mut self.ports.control, &self.members)?;
         }
         Ok(())
     }
@@ -523,6 +591,9 @@ impl Supervisor {
             self.next_answer = header.tick() + 1;
             self.answers += 1;
             self.profile.answered(header);
+            if self.governor.is_some() {
+                self.ungoverned.push((header.total_ns, header.control_version));
+            }
             let count = (header.candidates as usize).min(message.payload().len());
             if let Err(line) = hooks.answer(header, &message.payload()[..count]) {
                 self.failure.get_or_insert(line);
@@ -543,7 +614,10 @@ impl Supervisor {
         if sink {
             self.publish_lifecycle()?;
         }
-        if kind == ServiceKind::Ingest {
+        if matches!(
+            kind,
+            ServiceKind::Ingest | ServiceKind::Reconstruct | ServiceKind::Extract
+        ) {
             self.publish_control()?;
         }
         let under_way = matches!(self.state, State::Running | State::Draining { .. });
@@ -690,7 +764,14 @@ impl Supervisor {
     fn start(&mut self, index: usize) -> Result<(), RuntimeError> {
         let needed = self.needed_tick();
         let history = match self.plan.delivery {
-            Delivery::Lossless => self.plan.fuse.history_ticks().unwrap_or(u64::MAX),
+            Delivery::Lossless => {
+                let longest = self.plan.fuse.length.max(self.members.fuse().0 as usize);
+                let fuse = Fuse {
+                    length: longest,
+                    ..self.plan.fuse.clone()
+                };
+                fuse.history_ticks().unwrap_or(u64::MAX)
+            }
             Delivery::Latest => 0,
         };
         let first_tick = match self.processes[index].service.kind {
@@ -770,15 +851,7 @@ impl Supervisor {
     }
 
     fn publish_control(&mut self) -> Result<(), RuntimeError> {
-        let settings = self.members.settings.messages();
-        let header = ControlHeader {
-            version: self.members.settings.version,
-            ..ControlHeader::default()
-        };
-        let sent = self.ports.control.emit(header, settings.len(), &mut |slots| {
-            slots.copy_from_slice(&settings)
-        });
-        sent.map_err(|e| RuntimeError::Ipc(e.to_string()))
+        publish_control(&mut self.ports.control, &self.members)
     }
 
     fn take_requests(&mut self) -> Result<(), RuntimeError> {
@@ -791,8 +864,10 @@ impl Supervisor {
                 asked.answer(reply);
                 continue;
             }
-            info!("asked to: {:?}", asked.request);
-            if self.members.handle(asked, Instant::now()) {
+            if let Handled::Changed(by_hand) = self.members.handle(asked, Instant::now()) {
+                if let Some(governor) = &mut self.governor {
+                    by_hand.into_iter().for_each(|member| governor.forget(member));
+                }
                 self.publish_control()?;
             }
         }
@@ -823,6 +898,24 @@ impl Supervisor {
             latency: self.profile.latency(),
             services: self.profile.services(&self.processes),
             members: self.profile.members(self.members.states(), &self.processes),
+            fuse: {
+                let (length, rule, deadline_ns) = self.members.fuse();
+                FuseStatus {
+                    length,
+                    rule: rule.name().to_owned(),
+                    deadline_ms: deadline_ns as f64 / 1e6,
+                }
+            },
+            governor: self.governor.as_ref().map(|governor| GovernorStatus {
+                budget_ms: governor.budget_ns() as f64 / 1e6,
+                p95_ms: governor.p95_ns().map(|ns| ns as f64 / 1e6),
+                shed: governor
+                    .shed()
+                    .iter()
+                    .map(|m| self.members.name(*m).to_owned())
+                    .collect(),
+            }),
+            changes: self.members.changes(),
         }
     }
 

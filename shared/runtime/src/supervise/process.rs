@@ -40,6 +40,8 @@ pub(super) struct Process {
     pub(super) stats: StatsHeader,
     /// What members have cost, from sinks.
     pub(super) costs: Vec<MemberCost>,
+    /// What the newest rows of each member cost, ns per row; 0 where that is not known.
+    pub(super) newest_costs_ns: Vec<u64>,
     pub(super) restarts: u64,
     /// When to start it (again).
     pub(super) start_at: Option<Instant>,
@@ -66,6 +68,7 @@ impl Process {
             dead_through: 0,
             stats: StatsHeader::default(),
             costs: Vec::new(),
+            newest_costs_ns: Vec::new(),
             restarts: 0,
             start_at: None,
             sent_back: false,
@@ -74,6 +77,20 @@ impl Process {
             heard_at: Instant::now(),
             silent: false,
             deaths: VecDeque::new(),
+        }
+    }
+
+    /// Takes what members have cost since the start of a sink.
+    pub(super) fn take_costs(&mut self, costs: &[MemberCost]) {
+        self.newest_costs_ns.resize(costs.len(), 0);
+        self.costs.resize(costs.len(), MemberCost::default());
+        for ((newest, old), now) in self.newest_costs_ns.iter_mut().zip(&mut self.costs).zip(costs) {
+            let rows = now.rows.saturating_sub(old.rows);
+            let all = |cost: &MemberCost| cost.reconstruct_ns.saturating_add(cost.extract_ns);
+            if let Some(each) = all(now).saturating_sub(all(old)).checked_div(rows) {
+                *newest = each;
+            }
+            *old = *now;
         }
     }
 
