@@ -295,6 +295,9 @@ impl<M: Message> Outlet<M> for ChannelSender<M> {
             Err(_) if self.stop.requested() => return Err(StageError::Stopped),
             Err(e) => return Err(broken("cannot send", &e)),
         }
+        // A full socket means that the subscriber has a wake-up waiting; it drains the channel whole.
+        let _ = self.wake.notify_with_custom_event_id(EventId::new(DATA));
+        // Taken after the wake-up, as whoever is woken may well get this processor first.
         let sent = now_ns();
         self.activity.unblock(sent);
         self.record.sending.record(sent.saturating_sub(now));
@@ -315,8 +318,6 @@ impl<M: Message> Outlet<M> for ChannelSender<M> {
         }
         self.seq += 1;
         self.sent += 1;
-        // A full socket means that the subscriber has a wake-up waiting; it drains the channel whole.
-        let _ = self.wake.notify_with_custom_event_id(EventId::new(DATA));
         Ok(())
     }
 }

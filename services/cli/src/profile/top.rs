@@ -187,7 +187,7 @@ fn header(titles: &[&'static str], numbers: usize) -> Row<'static> {
 }
 
 fn process_table(status: &Status, width: u16) -> Table<'static> {
-    let wide = width >= 110;
+    let wide = width >= 130;
     let mut titles = vec![
         "process", "doing", "in/s", "out/s", "drops", "wait p99", "work p50",
     ];
@@ -329,7 +329,7 @@ mod tests {
     fn it_fits_small_and_large_terminals_and_shows_drops_in_red() {
         let mut view = View::default();
         view.take(status());
-        for (width, height) in [(80, 24), (200, 60), (110, 30)] {
+        for (width, height) in [(80, 24), (200, 60), (130, 30)] {
             let (text, red) = drawn(&view, width, height);
             for word in [
                 "evpr",
