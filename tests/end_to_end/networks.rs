@@ -165,7 +165,12 @@ fn a_network_that_works_for_nobody_can_be_unloaded_and_is_loaded_again() {
         said.stderr
     );
     assert_ticks(&answers, TICKS);
-    assert!(reasons(&answers).is_empty(), "{:?}", reasons(&answers));
+    assert!(
+        reasons(&answers).is_empty(),
+        "{:?}: {}",
+        reasons(&answers),
+        said.stderr
+    );
     for answer in &answers {
         let members = answer["members"].as_array().unwrap().len();
         assert!(

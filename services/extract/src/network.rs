@@ -29,6 +29,8 @@ pub(crate) struct NetworkExtractor {
 /// What it takes to load the network.
 #[derive(Debug)]
 struct Recipe {
+    /// Stays: a process has one environment of ONNX Runtime.
+    library: Library,
     network: Network,
     inference: Inference,
     sensor: Sensor,
@@ -38,9 +40,8 @@ struct Recipe {
 
 impl Recipe {
     fn load(&self) -> Result<DescriptorNetwork, OnnxError> {
-        let library = Library::load(self.inference.library.as_deref())?;
         DescriptorNetwork::load(
-            &library,
+            &self.library,
             &self.network,
             &self.inference,
             Some(self.sensor),
@@ -59,6 +60,7 @@ impl NetworkExtractor {
             return Ok(None);
         };
         let recipe = Recipe {
+            library: Library::load(plan.inference.library.as_deref())?,
             network: network.clone(),
             inference: plan.inference.clone(),
             sensor: plan.sensor,

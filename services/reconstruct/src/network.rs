@@ -23,6 +23,8 @@ pub(crate) struct NetworkMethod {
 
 /// What it takes to load the network.
 struct Recipe {
+    /// Stays: a process has one environment of ONNX Runtime.
+    library: Library,
     network: Network,
     inference: Inference,
     sensor: Sensor,
@@ -30,8 +32,7 @@ struct Recipe {
 
 impl Recipe {
     fn load(&self) -> Result<FrameNetwork, OnnxError> {
-        let library = Library::load(self.inference.library.as_deref())?;
-        FrameNetwork::load(&library, &self.network, &self.inference, Some(self.sensor))
+        FrameNetwork::load(&self.library, &self.network, &self.inference, Some(self.sensor))
     }
 }
 
@@ -73,6 +74,7 @@ impl NetworkMethod {
             return Ok(None);
         };
         let recipe = Recipe {
+            library: Library::load(plan.inference.library.as_deref()).map_err(LoadError::Network)?,
             network: network.clone(),
             inference: plan.inference.clone(),
             sensor: plan.sensor,
