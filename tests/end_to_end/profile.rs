@@ -229,18 +229,21 @@ fn a_trace_accounts_for_the_time_from_the_closing_of_windows_to_the_answers() {
     assert_eq!(answered.len() as u64, TICKS, "an answer per tick");
     assert!(begun >= TICKS * 8, "an arrow per tick and member");
     assert_eq!(ended, TICKS * 8, "an arrow per tick and member");
-    let (mut all, mut known) = (0.0, 0.0);
-    for tick in 0..TICKS {
-        let (from, to) = (closed[&tick], answered[&tick]);
-        all += to - from;
-        known += covered(stretches.remove(&tick).unwrap(), from, to);
-    }
-    println!(
-        "{:.2} % of {:.1} ms is accounted for",
-        100.0 * known / all,
-        all / 1e3
+    // Of a tick in the middle: while other programs have the processor nobody accounts for anything.
+    let mut shares: Vec<f64> = (0..TICKS)
+        .map(|tick| {
+            let (from, to) = (closed[&tick], answered[&tick]);
+            covered(stretches.remove(&tick).unwrap(), from, to) / (to - from)
+        })
+        .collect();
+    shares.sort_by(f64::total_cmp);
+    let share = shares[shares.len() / 2];
+    println!("{:.2} % of a tick's time is accounted for", 100.0 * share);
+    assert!(
+        share >= 0.95,
+        "{:.2} % of a tick's time is accounted for",
+        100.0 * share
     );
-    assert!(known >= 0.95 * all, "{known} µs of {all} µs are accounted for");
     let said = answers
         .iter()
         .map(|a| a["latency_us"]["total"].as_f64().unwrap())
