@@ -230,6 +230,7 @@ fn a_trace_accounts_for_the_time_from_the_closing_of_windows_to_the_answers() {
     assert!(begun >= TICKS * 8, "an arrow per tick and member");
     assert_eq!(ended, TICKS * 8, "an arrow per tick and member");
     // Of a tick in the middle: while other programs have the processor nobody accounts for anything.
+    let all: f64 = (0..TICKS).map(|tick| answered[&tick] - closed[&tick]).sum();
     let mut shares: Vec<f64> = (0..TICKS)
         .map(|tick| {
             let (from, to) = (closed[&tick], answered[&tick]);
