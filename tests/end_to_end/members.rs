@@ -1,6 +1,6 @@
 //! Members switched off and on while the graph runs.
 
-use super::support::{Bench, Running, TICKS, assert_ticks, run_args, text};
+use super::support::{Bench, Running, TICKS, assert_ticks, run_args};
 use evpr_core::config::{self, Overrides};
 use evpr_core::message::FuseSettings;
 use evpr_core::plan::{Catalog, Models, Plan, Sensor};
@@ -102,17 +102,7 @@ fn every_member_goes_off_and_on_and_the_answers_are_those_of_exactly_these_holes
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
     let recorded = bench.path("recorded");
-    let whole = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-r",
-        text(&recorded),
-    ];
-    assert_eq!(bench.run(&whole).code(), 0);
+    assert_eq!(bench.record(&config, &query, &recorded).code(), 0);
 
     let plan = plan(&bench, &config, &query, &map);
     let args = run_args(&config, &query, &map, &["--pace", "4"]);

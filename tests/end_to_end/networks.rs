@@ -191,17 +191,7 @@ fn what_cannot_start_ends_the_run_with_one_line() {
         println!("{name}");
         let config = config(&bench, &format!("{name}.toml"), library, stages, inference);
         let map = bench.path(name);
-        let said = bench.run(&[
-            "map",
-            "build",
-            "-q",
-            "-c",
-            text(&config),
-            "-i",
-            text(&input),
-            "-o",
-            text(&map),
-        ]);
+        let said = bench.build_map(&config, &input, &map);
         assert_fails(&bench, &said, words);
     };
     let with = |extractor: &str| {
@@ -307,17 +297,7 @@ fn a_model_that_is_not_what_it_should_be_is_named() {
         );
         let config = bench.file("broken.toml", &text_of);
         let map = bench.path("map");
-        let said = bench.run(&[
-            "map",
-            "build",
-            "-q",
-            "-c",
-            text(&config),
-            "-i",
-            text(&input),
-            "-o",
-            text(&map),
-        ]);
+        let said = bench.build_map(&config, &input, &map);
         assert_fails(&bench, &said, &["tiny_extractor.onnx: ", expected]);
     }
 }

@@ -26,17 +26,7 @@ fn length_and_rule_change_at_the_tick_that_is_named_and_leave_one_line_each() {
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
     let recorded = bench.path("recorded");
-    let record = [
-        "run",
-        "-q",
-        "-c",
-        text(&config),
-        "-i",
-        text(&query),
-        "-r",
-        text(&recorded),
-    ];
-    assert_eq!(bench.run(&record).code(), 0);
+    assert_eq!(bench.record(&config, &query, &recorded).code(), 0);
     let plan = plan(&bench, &config, &query, &map);
     // Without -q, as the lines of the audit log are no warnings.
     let args = [

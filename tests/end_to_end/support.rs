@@ -177,21 +177,23 @@ impl Bench {
         path
     }
 
+    /// Maps a recording, whatever comes of it.
+    pub(crate) fn build_map(&self, config: &Path, input: &Path, map: &Path) -> Said {
+        let build = ["map", "build", "-q", "-c", text(config)];
+        self.run(&[&build[..], &["-i", text(input), "-o", text(map)]].concat())
+    }
+
+    /// Records what a recording becomes, and answers nothing.
+    pub(crate) fn record(&self, config: &Path, input: &Path, traverse: &Path) -> Said {
+        let run = ["run", "-q", "-c", text(config)];
+        self.run(&[&run[..], &["-i", text(input), "-r", text(traverse)]].concat())
+    }
+
     /// Maps the synthetic street once.
     pub(crate) fn map(&self, config: &Path) -> PathBuf {
         let recording = self.recording("reference.txt", TICKS, 1);
         let map = self.path("map");
-        let said = self.run(&[
-            "map",
-            "build",
-            "-q",
-            "-c",
-            text(config),
-            "-i",
-            text(&recording),
-            "-o",
-            text(&map),
-        ]);
+        let said = self.build_map(config, &recording, &map);
         assert_eq!(said.code(), 0, "{}", said.stderr);
         map
     }

@@ -4,8 +4,8 @@
 use crate::kind::FrameView;
 use crate::preprocess::Preprocess;
 use evpr_core::message::FrameHeader;
-use evpr_core::plan::{Inference, ModelKind, Network, Plan, Sensor};
-use evpr_onnx::{DescriptorNetwork, Descriptors, Library, OnnxError};
+use evpr_core::plan::{ModelKind, Plan};
+use evpr_onnx::{DescriptorNetwork, Descriptors, OnnxError, Recipe};
 
 /// Descriptors of this length or shorter have no direction.
 const NO_LENGTH: f64 = 1e-12;
@@ -16,6 +16,8 @@ pub(crate) struct NetworkExtractor {
     /// None while it is unloaded.
     network: Option<DescriptorNetwork>,
     recipe: Recipe,
+    /// Most frames of one tick.
+    most: usize,
     dimension: usize,
     batch: usize,
     preprocess: Preprocess,
@@ -24,30 +26,6 @@ pub(crate) struct NetworkExtractor {
     /// Numbers in one input.
     input: usize,
     waiting: Vec<(FrameHeader, u32)>,
-}
-
-/// What it takes to load the network.
-#[derive(Debug)]
-struct Recipe {
-    /// Stays: a process has one environment of ONNX Runtime.
-    library: Library,
-    network: Network,
-    inference: Inference,
-    sensor: Sensor,
-    /// Most frames at once.
-    most: usize,
-}
-
-impl Recipe {
-    fn load(&self) -> Result<DescriptorNetwork, OnnxError> {
-        DescriptorNetwork::load(
-            &self.library,
-            &self.network,
-            &self.inference,
-            Some(self.sensor),
-            self.most,
-        )
-    }
 }
 
 impl NetworkExtractor {
@@ -59,14 +37,9 @@ impl NetworkExtractor {
         let ModelKind::Extractor { preprocessing, .. } = &network.model.kind else {
             return Ok(None);
         };
-        let recipe = Recipe {
-            library: Library::load(plan.inference.library.as_deref())?,
-            network: network.clone(),
-            inference: plan.inference.clone(),
-            sensor: plan.sensor,
-            most: plan.members.iter().filter(|m| m.extractor == extractor).count(),
-        };
-        let network = recipe.load()?;
+        let recipe = Recipe::new(plan, network)?;
+        let most = plan.members.iter().filter(|m| m.extractor == extractor).count();
+        let network = recipe.descriptor_network(most)?;
         let (channels, height, width) = network.input_shape();
         let input = channels * height * width;
         Ok(Some(Self {
@@ -78,6 +51,7 @@ impl NetworkExtractor {
             batch: network.batch(),
             network: Some(network),
             recipe,
+            most,
         }))
     }
 
@@ -104,7 +78,7 @@ impl NetworkExtractor {
             Some(network) => network.run(inputs, count),
             None => self
                 .recipe
-                .load()
+                .descriptor_network(self.most)
                 .and_then(|network| self.network.insert(network).run(inputs, count)),
         };
         let batch = Vec::with_capacity(self.batch);

@@ -3,8 +3,8 @@
 use crate::method::Method;
 use crate::voxels::{KeptEvents, VoxelGrid};
 use evpr_core::message::Event;
-use evpr_core::plan::{CARRY, Inference, Network, Pixel, Plan, Sensor};
-use evpr_onnx::{FrameNetwork, Library, OnnxError, State};
+use evpr_core::plan::{CARRY, Pixel, Plan, Sensor};
+use evpr_onnx::{FrameNetwork, OnnxError, Recipe, State};
 
 /// A network that sees the voxel grid of each window.
 pub(crate) struct NetworkMethod {
@@ -19,21 +19,6 @@ pub(crate) struct NetworkMethod {
     carry: bool,
     /// The frame that was prepared.
     levels: Vec<u8>,
-}
-
-/// What it takes to load the network.
-struct Recipe {
-    /// Stays: a process has one environment of ONNX Runtime.
-    library: Library,
-    network: Network,
-    inference: Inference,
-    sensor: Sensor,
-}
-
-impl Recipe {
-    fn load(&self) -> Result<FrameNetwork, OnnxError> {
-        FrameNetwork::load(&self.library, &self.network, &self.inference, Some(self.sensor))
-    }
 }
 
 #[derive(Debug, Default)]
@@ -73,13 +58,8 @@ impl NetworkMethod {
         let Some(network) = &r.network else {
             return Ok(None);
         };
-        let recipe = Recipe {
-            library: Library::load(plan.inference.library.as_deref()).map_err(LoadError::Network)?,
-            network: network.clone(),
-            inference: plan.inference.clone(),
-            sensor: plan.sensor,
-        };
-        let network = recipe.load().map_err(LoadError::Network)?;
+        let recipe = Recipe::new(plan, network).map_err(LoadError::Network)?;
+        let network = recipe.frame_network().map_err(LoadError::Network)?;
         let carry = r.params.text("state") == CARRY;
         if carry && !network.has_memory() {
             return Err(LoadError::Params(format!(
@@ -129,7 +109,7 @@ impl Method for NetworkMethod {
         let (grid, levels) = (&self.grid, &mut self.levels);
         let network = match &mut self.network {
             Some(network) => network,
-            none => none.insert(self.recipe.load().map_err(|e| e.to_string())?),
+            none => none.insert(self.recipe.frame_network().map_err(|e| e.to_string())?),
         };
         let run = network.run(grid.values(), state, &mut |frame| grid.crop(frame, levels));
         run.map_err(|e| e.to_string())

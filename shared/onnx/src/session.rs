@@ -121,8 +121,8 @@ fn tensor(outlet: &ort::value::Outlet) -> Tensor {
     }
 }
 
-/// Something to compute: neither constant nor the same in every channel.
-pub(crate) fn pattern(numbers: usize) -> Vec<f32> {
+/// So many numbers to compute something of, from −1 to 1: neither constant nor the same in every channel.
+pub fn pattern(numbers: usize) -> Vec<f32> {
     (0..numbers)
         .map(|i| ((i * 7919) % 1024) as f32 / 512.0 - 1.0)
         .collect()

@@ -37,78 +37,53 @@ pub struct Comparison {
     pub welch_of_all_p: Option<f64>,
 }
 
-/// Gives the level of a row, and everything else that must be equal; the pair of traverses is left out.
-type Split = fn(&Row) -> (String, String);
+/// Something that two rows may differ in.
+struct Aspect {
+    what: &'static str,
+    /// What is compared.
+    level: String,
+    /// What must be equal when another aspect is compared.
+    exact: String,
+}
 
-const SPLITS: [(&str, Split); 5] = [
-    ("subsets", |r| {
-        let rest = format!(
-            "{}|{}|{}|{}|{}",
-            r.similarity, r.method, r.length, r.rule, r.weights
-        );
-        (r.kind.name().to_owned(), rest)
-    }),
-    ("sequence", |r| {
-        let rest = format!(
-            "{}|{}|{}|{}|{}",
-            r.similarity,
-            r.rule,
-            r.weights,
-            r.kind.name(),
-            r.subset
-        );
-        (format!("{} L={}", r.method, r.length), rest)
-    }),
-    ("rule", |r| {
-        let rest = format!(
-            "{}|{}|{}|{}|{}|{}",
-            r.similarity,
-            r.method,
-            r.length,
-            r.weights,
-            r.kind.name(),
-            r.subset
-        );
-        (r.rule.clone(), rest)
-    }),
-    ("similarity", |r| {
-        let rest = format!(
-            "{}|{}|{}|{}|{}|{}",
-            r.method,
-            r.length,
-            r.rule,
-            r.weights,
-            r.kind.name(),
-            r.subset
-        );
-        (r.similarity.clone(), rest)
-    }),
-    ("weights", |r| {
-        let rest = format!(
-            "{}|{}|{}|{}|{}|{}",
-            r.similarity,
-            r.method,
-            r.length,
-            r.rule,
-            r.kind.name(),
-            r.subset
-        );
-        (r.weights.clone(), rest)
-    }),
-];
+/// All that a row was evaluated with but the pair of traverses.
+fn aspects(r: &Row) -> [Aspect; 5] {
+    let plain = |what, level: &str| Aspect {
+        what,
+        level: level.to_owned(),
+        exact: level.to_owned(),
+    };
+    let kind = r.kind.name();
+    [
+        Aspect {
+            what: "subsets",
+            level: kind.to_owned(),
+            exact: format!("{kind}|{}", r.subset),
+        },
+        plain("sequence", &format!("{} L={}", r.method, r.length)),
+        plain("rule", &r.rule),
+        plain("similarity", &r.similarity),
+        plain("weights", &r.weights),
+    ]
+}
 
 /// All comparisons that the rows allow.
 pub fn comparisons(rows: &[Row]) -> Vec<Comparison> {
-    let mut all = Vec::new();
-    for (what, split) in SPLITS {
-        // Per level, pair and everything else: the recalls.
-        let mut levels: BTreeMap<String, BTreeMap<(&str, String), Vec<f64>>> = BTreeMap::new();
-        for row in rows {
-            let (level, rest) = split(row);
-            let of_level = levels.entry(level).or_default();
-            let recalls = of_level.entry((row.pair.as_str(), rest)).or_default();
+    // Per aspect its name, and per level, pair and everything else the recalls.
+    let mut tables: [(&'static str, BTreeMap<String, Level<'_>>); 5] = Default::default();
+    for row in rows {
+        let aspects = aspects(row);
+        for (at, (what, levels)) in tables.iter_mut().enumerate() {
+            let others = aspects.iter().enumerate().filter(|(other, _)| *other != at);
+            let rest: Vec<&str> = others.map(|(_, aspect)| aspect.exact.as_str()).collect();
+            let of_level = levels.entry(aspects[at].level.clone()).or_default();
+            let recalls = of_level.entry((row.pair.as_str(), rest.join("|"))).or_default();
             recalls.push(row.measures.recall_at[0].of_all);
+            *what = aspects[at].what;
         }
+    }
+    let mut all = Vec::new();
+    for (what, levels) in tables {
         let levels: Vec<_> = levels.into_iter().collect();
         for (at, (a, of_a)) in levels.iter().enumerate() {
             for (b, of_b) in &levels[at + 1..] {
