@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::print_stdout)] // tests; clippy sees only #[test] functions as such
 
 mod bad_input;
+mod browser;
 mod convert;
 mod corridor;
 mod dataset;

@@ -259,10 +259,14 @@ pub(crate) struct Watchdog {
 
 impl Watchdog {
     pub(crate) fn over(pid: u32) -> Self {
+        Self::over_within(pid, WATCHDOG)
+    }
+
+    pub(crate) fn over_within(pid: u32, longest: Duration) -> Self {
         let (done, wait) = channel::<()>();
         std::thread::spawn(move || {
-            if wait.recv_timeout(WATCHDOG) == Err(RecvTimeoutError::Timeout) {
-                eprintln!("watchdog: process {pid} took longer than {WATCHDOG:?} and is killed");
+            if wait.recv_timeout(longest) == Err(RecvTimeoutError::Timeout) {
+                eprintln!("watchdog: process {pid} took longer than {longest:?} and is killed");
                 let _ =
                     nix::sys::signal::kill(nix::unistd::Pid::from_raw(pid as i32), nix::sys::signal::SIGKILL);
             }
