@@ -4,7 +4,8 @@
 For each pair of a reconstruction and an extractor the recording is mapped, and then recognised at a pace slow enough that
 no tick waits for another one. Printed are the medians over ticks, in ms: what Python's onnxruntime takes for one image of
 each network, what the processes take (from `latency_us` of the answers), what they add to it, and window close → answer
-beside the sum of its stages. Rounds of Python and of the graph alternate, so that both see the same machine.
+beside the sum of its stages. Python runs the networks one after the other at the
+graph's pace, and rounds of Python and of the graph alternate, so that both see the same machine and the same caches.
 
     scripts/bench_networks.py --evpr target/release/evpr --models models/models.toml --recording drive.aedat4 \
         --tick 6ms --tick-seconds 1 --pair event_count/cosplace --pair e2vid/cosplace
@@ -67,11 +68,19 @@ class Python:
         self.inputs = {name: random.standard_normal(shape).astype(np.float32) for name, shape in shapes.items()}
         self.times = []
 
-    def run(self, count):
-        for _ in range(count):
-            started = time.perf_counter()
-            self.session.run(None, self.inputs)
-            self.times.append((time.perf_counter() - started) * 1e3)
+    def run(self):
+        started = time.perf_counter()
+        self.session.run(None, self.inputs)
+        self.times.append((time.perf_counter() - started) * 1e3)
+
+
+def in_turns(networks, ticks, period):
+    """As in the graph: one network after the other, begun once per `period` seconds, and nothing in between."""
+    for _ in range(ticks):
+        ends = time.perf_counter() + period
+        for network in networks:
+            network.run()
+        time.sleep(max(ends - time.perf_counter(), 0.0))
 
 
 def configuration(arguments, reconstruction, extractor):
@@ -108,12 +117,11 @@ def measure(arguments, pair):
         (folder / "graph.toml").write_text(configuration(arguments, reconstruction, extractor))
         build = [arguments.evpr, "map", "build", "-q", "--name", f"bench{os.getpid()}", "-c", folder / "graph.toml"]
         subprocess.run([*build, "-i", arguments.recording, "-o", folder / "map"], check=True)
+        in_turns(python.values(), 2, 0.0)
         for network in python.values():
-            network.run(3)
             network.times.clear()
         for _ in range(arguments.rounds):
-            for network in python.values():
-                network.run(10)
+            in_turns(python.values(), 10, arguments.tick_seconds)
             latencies += answers(arguments, folder, pace)
     middle = lambda stage: statistics.median(latency[stage] for latency in latencies)
     print(f"{pair}, {arguments.threads} thread(s), {len(latencies)} ticks:")

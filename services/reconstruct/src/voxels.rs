@@ -181,13 +181,7 @@ impl VoxelGrid {
     /// Shifts and scales what is not zero to mean 0 and standard deviation 1. Where all of it is equal it becomes 0
     /// (the published code divides by 0 there).
     fn normalise(&mut self) {
-        let (mut count, mut sum, mut squares) = (0u64, 0.0f64, 0.0f64);
-        for value in &self.grid {
-            let v = f64::from(*value);
-            count += u64::from(*value != 0.0);
-            sum += v;
-            squares += v * v;
-        }
+        let (count, sum, squares) = moments(&self.grid);
         if count == 0 {
             return;
         }
@@ -197,9 +191,8 @@ impl VoxelGrid {
         let equal = variance <= 1e-12 * (squares / count as f64);
         let scale = if equal { 0.0 } else { 1.0 / variance.sqrt() };
         for value in &mut self.grid {
-            if *value != 0.0 {
-                *value = ((f64::from(*value) - mean) * scale) as f32;
-            }
+            let normal = ((f64::from(*value) - mean) * scale) as f32;
+            *value = if *value == 0.0 { 0.0 } else { normal };
         }
     }
 
@@ -229,6 +222,25 @@ impl VoxelGrid {
             }
         }
     }
+}
+
+/// How many of these values are not zero, their sum, and the sum of their squares. Several sums at once: one alone would
+/// wait for each of its additions.
+fn moments(values: &[f32]) -> (u64, f64, f64) {
+    const LANES: usize = 8;
+    let (mut counts, mut sums, mut squares) = ([0u64; LANES], [0.0f64; LANES], [0.0f64; LANES]);
+    let (groups, rest) = values.as_chunks::<LANES>();
+    let mut enter = |lane: usize, value: f32| {
+        let v = f64::from(value);
+        counts[lane] += u64::from(value != 0.0);
+        sums[lane] += v;
+        squares[lane] += v * v;
+    };
+    for group in groups {
+        (0..LANES).for_each(|lane| enter(lane, group[lane]));
+    }
+    rest.iter().enumerate().for_each(|(lane, value)| enter(lane, *value));
+    (counts.iter().sum(), sums.iter().sum(), squares.iter().sum())
 }
 
 /// The index within `len` that an index outside it is a reflection of; the border itself is not repeated.

@@ -2,7 +2,7 @@
 
 use crate::error::{OnnxError, one_line};
 use crate::library::Library;
-use crate::session::{Dim, Loaded, Opened, Tensor, open, pattern, wrong_model};
+use crate::session::{Dim, Loaded, Opened, Tensor, first_not_finite, open, pattern, wrong_model};
 use evpr_core::plan::{Inference, ModelKind, Network, Sensor};
 use ort::session::{Session, SessionInputValue};
 use ort::value::{DynValue, TensorRef};
@@ -159,7 +159,7 @@ impl FrameNetwork {
             let (got, height, width) = (values.len(), self.height, self.width);
             return Err(failed(format!("gave {got} values, not {height} × {width}")));
         }
-        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+        if let Some(at) = first_not_finite(values) {
             return Err(failed(format!("value {at} of its frame is {}", values[at])));
         }
         take(values);
@@ -180,7 +180,7 @@ impl FrameNetwork {
                     &shape[..]
                 )));
             }
-            if let Some(at) = numbers.iter().position(|number| !number.is_finite()) {
+            if let Some(at) = first_not_finite(numbers) {
                 return Err(failed(format!(
                     "number {at} of its state {} is {}",
                     input.name, numbers[at]
