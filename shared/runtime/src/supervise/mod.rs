@@ -12,10 +12,16 @@
 
 mod graph;
 mod members;
+mod policy;
+mod ports;
 mod process;
 mod profile;
+mod report;
+mod status;
+mod steer;
 
-pub use graph::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport, Supervisor};
+pub use graph::Supervisor;
+pub use report::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport};
 
 /// What a process is told on its command line, beside the run folder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,5 +1,6 @@
 //! What the supervisor remembers in order to say how the last ten seconds were: a state per second.
 
+use super::policy::Life;
 use super::process::Process;
 use crate::control::MemberState;
 use crate::now_ns;
@@ -168,10 +169,10 @@ impl Profile {
         states.into_iter().enumerate().map(status).collect()
     }
 
-    pub(super) fn services(&self, processes: &[Process]) -> Vec<ServiceStatus> {
+    pub(super) fn services(&self, processes: &[Process], lives: &[Life]) -> Vec<ServiceStatus> {
         let now = Instant::now();
-        let each = processes.iter().zip(&self.services);
-        each.map(|(process, history)| service(process, history, now))
+        let each = processes.iter().zip(lives).zip(&self.services);
+        each.map(|((process, life), history)| service(process, life, history, now))
             .collect()
     }
 }
@@ -182,7 +183,12 @@ fn costs(processes: &[Process]) -> &[MemberCost] {
     told.find(|costs| !costs.is_empty()).unwrap_or(&[])
 }
 
-fn service(process: &Process, history: &History<(StatsHeader, f64)>, now: Instant) -> ServiceStatus {
+fn service(
+    process: &Process,
+    life: &Life,
+    history: &History<(StatsHeader, f64)>,
+    now: Instant,
+) -> ServiceStatus {
     let stats = &process.stats;
     let same_life = |s: &&Sample<(StatsHeader, f64)>| s.value.0.stamp.incarnation == stats.stamp.incarnation;
     let oldest = history.oldest().filter(same_life);
@@ -194,24 +200,24 @@ fn service(process: &Process, history: &History<(StatsHeader, f64)>, now: Instan
     let rate = |now: u64, before: u64| per_s(now.saturating_sub(before) as f64);
     let pid = process.child.as_ref().map(std::process::Child::id);
     let (cpu_s, rss_bytes) = pid.map(usage).unwrap_or_default();
-    let heard = stats.stamp.incarnation == process.incarnation && pid.is_some();
-    let state = match process.health {
+    let heard = stats.stamp.incarnation == life.incarnation && pid.is_some();
+    let state = match life.health {
         ServiceHealth::Down => "down",
-        ServiceHealth::Restarting if !process.in_phase(ServicePhase::Ready) => "restarting",
-        _ if process.is_done() => "done",
-        _ if process.in_phase(ServicePhase::Ready) => "ready",
+        ServiceHealth::Restarting if !life.in_phase(ServicePhase::Ready) => "restarting",
+        _ if life.is_done() => "done",
+        _ if life.in_phase(ServicePhase::Ready) => "ready",
         _ => "starting",
     };
     let doing = Doing::from_code(stats.doing).filter(|_| heard);
     ServiceStatus {
-        name: process.service.name.clone(),
-        kind: process.service.kind.name().to_owned(),
+        name: life.name.clone(),
+        kind: life.kind.name().to_owned(),
         pid,
         state: state.to_owned(),
         doing: doing.map_or("", Doing::name).to_owned(),
         doing_ms: doing.map_or(0.0, |_| now_ns().saturating_sub(stats.progress_ns) as f64 / 1e6),
-        heard_ms: process.heard_at.elapsed().as_secs_f64() * 1e3,
-        restarts: process.restarts,
+        heard_ms: now_ns().saturating_sub(life.heard_ns) as f64 / 1e6,
+        restarts: life.restarts,
         received: stats.received,
         emitted: stats.emitted,
         skipped: stats.skipped,
