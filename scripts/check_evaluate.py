@@ -52,8 +52,16 @@ def local_contrast(s, window=20):
     return difference / (np.sqrt(mean(difference**2)) + 1e-8)
 
 
+def label(text):
+    """The name and the parameters of `seqslam:window=10:velocities=0.9..1.1`; numbers of a list as a list."""
+    name, *parameters = text.split(":")
+    numbers = lambda value: [float(number) for number in value.replace("..", "/").split("/")]
+    return name, {key: numbers(value) for key, value in (p.split("=") for p in parameters)}
+
+
 def matched(s, present, valid, method, length):
     """Scores (Q, R), NaN rows where the member sits out; and which queries have history enough."""
+    method, parameters = label(method)
     queries, references = s.shape
     out = np.full(s.shape, np.nan)
     history = present.copy()
@@ -68,8 +76,9 @@ def matched(s, present, valid, method, length):
         out[present] = spread[present]
         return out, history
     if method == "seqslam":
-        spread[np.ix_(present, valid)] = local_contrast(s[np.ix_(present, valid)])
-        velocities = np.linspace(0.8, 1.2, 10)
+        spread[np.ix_(present, valid)] = local_contrast(s[np.ix_(present, valid)], int(parameters.get("window", [20])[0]))
+        steps = int(parameters.get("velocity_steps", [10])[0])
+        velocities = np.linspace(*parameters.get("velocities", [0.8, 1.2]), steps)
         places = np.arange(references)
         for q in range(queries):
             history[q] &= q >= length - 1
@@ -112,8 +121,10 @@ def log_softmax(x):
     return x - np.log(np.exp(x).sum())
 
 
-def fuse(scores, valid, rule, trim=0.25):
+def fuse(scores, valid, rule):
     """One score per place of members' scores (M, R); places without a row of a member are left to the others."""
+    rule, parameters = label(rule)
+    trim = parameters.get("trim", [0.25])[0]
     if rule == "sum":
         return scores.sum(0)
     if rule == "product":
@@ -141,15 +152,15 @@ def fuse(scores, valid, rule, trim=0.25):
     return out
 
 
-def forward(z, beta=1.5, steps=(0.2, 0.5, 0.2, 0.1), restart=0.02):
+def forward(z, beta=(1.5,), transition=(0.2, 0.5, 0.2, 0.1), restart=(0.02,)):
     """One step of the hidden Markov filter after another; z is None where no member had a row."""
-    p = None
+    p, beta, restart = None, beta[0], restart[0]
     for row in z:
         row = np.zeros(row[1]) if row[0] is None else row[0]
         if p is None:
             p = np.full(len(row), 1 / len(row))
         moved = np.zeros(len(row))
-        for step, weight in enumerate(steps):
+        for step, weight in enumerate(transition):
             if step < len(row):
                 moved[step:] += weight * p[: len(row) - step]
         p = ((1 - restart) * moved + restart / len(row)) * np.exp(beta * (row - row.max()))
@@ -169,7 +180,8 @@ def recalls(members, names, truth, method, length, rule):
         fused.append((fuse(scores, valid, rule) if there else None, references))
         counts.append(any(m[4][q] for m in there))
         eligible.append(valid.any(0))
-    rows = forward(fused) if method == "filter" else (f[0] for f in fused)
+    method, parameters = label(method)
+    rows = forward(fused, **parameters) if method == "filter" else (f[0] for f in fused)
     ranks, low, high, answers = [], [], [], []
     for q, row in enumerate(rows):
         may = eligible[q] if row is None else eligible[q] & (row > -np.inf)

@@ -602,10 +602,10 @@ pub(crate) struct EvaluateArgs {
     /// Sequence lengths, ticks
     #[arg(short, long, value_name = "L", value_delimiter = ',', default_value = "10")]
     pub(crate) length: Vec<usize>,
-    /// Sequence methods
+    /// Sequence methods, with parameters as in seqslam:window=10:velocities=0.9..1.1 or filter:transition=0.1/0.9
     #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "paper")]
     pub(crate) method: Vec<String>,
-    /// Fusion rules; sum when left out, but mean with the method filter
+    /// Fusion rules, such as trimmed_mean:trim=0.1; sum when left out, but mean with the method filter
     #[arg(long, value_name = "RULE", value_delimiter = ',')]
     pub(crate) rule: Vec<String>,
     /// Similarities
@@ -617,7 +617,11 @@ pub(crate) struct EvaluateArgs {
     /// Also find the least confidence at which this share of the answers is right (thresholds.csv)
     #[arg(long, value_name = "P", value_parser = precision)]
     pub(crate) wanted_precision: Option<f64>,
-    /// Also learn weights of members from this pair's labels, and evaluate all pairs with them (weights learnt:PAIR)
+    /// Also evaluate all pairs with these weights: a TOML file of "member" = weight; members that are not in it have 1
+    #[arg(long, value_name = "FILE")]
+    pub(crate) weights: Option<PathBuf>,
+    /// Also learn weights of members from this pair's labels (weights.csv), and evaluate all pairs with them (weights
+    /// learnt:PAIR)
     #[arg(long, value_name = "PAIR")]
     pub(crate) learn_weights: Option<String>,
     /// Also find how alike members are in what they see and get wrong, with the first method and length (members.json)
@@ -670,7 +674,7 @@ pub(crate) struct ChooseArgs {
     /// Sequence length, ticks
     #[arg(short, long, value_name = "L", default_value_t = 10, value_parser = sequence_length)]
     pub(crate) length: usize,
-    /// Sequence method
+    /// Sequence method, with parameters as in seqslam:window=10:velocities=0.9..1.1
     #[arg(long, value_name = "METHOD", default_value = "paper")]
     pub(crate) method: String,
     /// Fusion rule; sum when left out, but mean with the method filter

@@ -35,6 +35,7 @@ pub fn evaluate(
     progress: &dyn Progress,
 ) -> Result<(), EvaluateError> {
     spec.check()?;
+    results.settle("exclusion", &spec.exclusion.to_string())?;
     let mut open: Vec<(&Pair, Vec<Configuration>)> = Vec::new();
     for pair in pairs {
         let mut configurations = spec.configurations(&pair.members)?;

@@ -35,5 +35,5 @@ pub use results::{Results, Row};
 pub use spec::{Configuration, Spec, SubsetChoice};
 pub use subsets::{MemberName, Subset, SubsetKind, subsets};
 pub use sweep::bytes_needed;
-pub use tables::{Learnt, thresholds};
-pub use weights::learnt_weights;
+pub use tables::{Learnt, LearntWeights, thresholds};
+pub use weights::{learnt_weights, read_weights};

@@ -93,7 +93,7 @@ impl Pair {
             ));
         }
         Ok(Self {
-            identity: identity(spec, &reference, &query, &truth),
+            identity: identity(spec, (&reference, &query), &names, &truth),
             name: spec.name.clone(),
             members: names,
             rows,
@@ -271,8 +271,8 @@ fn nearest_m(queries: &[Option<[f64; 2]>], references: &[Option<[f64; 2]>]) -> V
 
 fn identity(
     spec: &PairSpec,
-    reference: &Traverse,
-    query: &Traverse,
+    (reference, query): (&Traverse, &Traverse),
+    members: &[String],
     truth: &GroundTruth,
 ) -> BTreeMap<String, String> {
     let path = |path: &Path| {
@@ -290,14 +290,26 @@ fn identity(
         ("reference_ticks", reference.len().to_string()),
         ("query_ticks", query.len().to_string()),
         ("ground_truth", format!("{:016x}", right.0)),
+        ("members", digest_of(members.iter().map(String::as_str))),
     ]
     .into_iter()
     .map(|(key, value)| (key.to_owned(), value))
     .collect()
 }
 
+/// How many names there are, with a digest of them.
+pub(crate) fn digest_of<'a>(names: impl Iterator<Item = &'a str>) -> String {
+    let (mut digest, mut count) = (Digest::default(), 0);
+    for name in names {
+        name.bytes().for_each(|byte| digest.add(u64::from(byte)));
+        digest.add(u64::MAX);
+        count += 1;
+    }
+    format!("{count}#{:08x}", digest.0 as u32)
+}
+
 /// FNV-1a over 64-bit numbers: tells a changed ground truth from the old one.
-struct Digest(u64);
+pub(crate) struct Digest(pub(crate) u64);
 
 impl Default for Digest {
     fn default() -> Self {
@@ -306,7 +318,7 @@ impl Default for Digest {
 }
 
 impl Digest {
-    fn add(&mut self, number: u64) {
+    pub(crate) fn add(&mut self, number: u64) {
         for byte in number.to_le_bytes() {
             self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
         }

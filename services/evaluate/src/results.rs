@@ -10,6 +10,7 @@ use crate::error::EvaluateError;
 use crate::measure::{FRAMES, KS, Measures, Share, TOLERANCES_M};
 use crate::pair::Pair;
 use crate::spec::Configuration;
+use evpr_core::config::{method_label, rule_label};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -32,11 +33,11 @@ pub struct Row {
     pub pair: String,
     /// Similarity, as in the configuration.
     pub similarity: String,
-    /// Sequence method, as in the configuration.
+    /// Sequence method, with the parameters that are not the default ones.
     pub method: String,
     /// Sequence length, ticks.
     pub length: usize,
-    /// Fusion rule, as in the configuration.
+    /// Fusion rule, likewise.
     pub rule: String,
     /// Name of the weights; `equal` when all are 1.
     pub weights: String,
@@ -56,9 +57,9 @@ impl Row {
             key: c.key(pair.name()),
             pair: pair.name().to_owned(),
             similarity: c.similarity_word().to_owned(),
-            method: c.method.name().to_owned(),
+            method: method_label(&c.method),
             length: c.length,
-            rule: c.rule.name().to_owned(),
+            rule: rule_label(&c.rule),
             weights: c.weights.clone(),
             kind: c.subset.kind,
             subset: c.subset.name.clone(),
@@ -76,6 +77,9 @@ struct Head {
     evpr: String,
     /// Per pair what decides whether results are of the same one.
     pairs: BTreeMap<String, BTreeMap<String, String>>,
+    /// What all rows have in common besides.
+    #[serde(default)]
+    settings: BTreeMap<String, String>,
 }
 
 /// The results in a folder.
@@ -101,6 +105,7 @@ impl Results {
             version: VERSION,
             evpr: env!("CARGO_PKG_VERSION").to_owned(),
             pairs: BTreeMap::new(),
+            settings: BTreeMap::new(),
         };
         let mut rows = Vec::new();
         if path.exists() {
@@ -127,23 +132,34 @@ impl Results {
             );
             return Err(EvaluateError::bad(folder, reason));
         }
-        // Written anew: what a crash cut off in the last line is gone, and the head knows the new pairs.
-        let mut text = line(&head, &path)?;
-        for row in &rows {
-            text.push_str(&line(row, &path)?);
-        }
-        replace(&path, &text)?;
-        let file = OpenOptions::new()
-            .append(true)
-            .open(&path)
-            .map_err(EvaluateError::io("open", &path))?;
         Ok(Self {
             folder: folder.to_owned(),
+            file: anew(&path, &head, &rows)?,
             head,
             keys: rows.iter().map(|r| r.key.clone()).collect(),
             rows,
-            file,
         })
+    }
+
+    /// Says how all rows are computed that come from now on.
+    ///
+    /// # Errors
+    /// When rows that are there were computed otherwise, or it cannot be written.
+    pub(crate) fn settle(&mut self, setting: &str, value: &str) -> Result<(), EvaluateError> {
+        match self.head.settings.get(setting) {
+            Some(before) if before == value => Ok(()),
+            Some(before) => Err(EvaluateError::bad(
+                &self.folder,
+                format!(
+                    "it holds results with {setting} {before}, not {value}; choose another folder, or remove this one"
+                ),
+            )),
+            None => {
+                self.head.settings.insert(setting.to_owned(), value.to_owned());
+                self.file = anew(&self.folder.join(ROWS), &self.head, &self.rows)?;
+                Ok(())
+            }
+        }
     }
 
     /// The folder.
@@ -206,6 +222,20 @@ impl Results {
             serde_json::to_string_pretty(&all).map_err(|e| EvaluateError::bad(&path, e.to_string()))?;
         replace(&path, &(text + "\n"))
     }
+}
+
+/// Writes the rows anew: what a crash cut off in the last line is gone, and the head is the newest. Gives the file for
+/// more of them.
+fn anew(path: &Path, head: &Head, rows: &[Row]) -> Result<File, EvaluateError> {
+    let mut text = line(head, path)?;
+    for row in rows {
+        text.push_str(&line(row, path)?);
+    }
+    replace(path, &text)?;
+    OpenOptions::new()
+        .append(true)
+        .open(path)
+        .map_err(EvaluateError::io("open", path))
 }
 
 /// Pairs and what is compared in their order, so that neighbours differ little.

@@ -1,8 +1,9 @@
 //! What is compared: the product of subsets, similarities, sequence methods, lengths and rules.
 
 use crate::error::EvaluateError;
+use crate::pair::Digest;
 use crate::subsets::{Subset, SubsetKind, subsets};
-use evpr_core::config::SIMILARITIES;
+use evpr_core::config::{SIMILARITIES, method_label, rule_label};
 use evpr_core::plan::{Rule, SequenceMethod, Similarity};
 use std::collections::BTreeMap;
 
@@ -68,10 +69,16 @@ impl Configuration {
         found.unwrap_or("unknown")
     }
 
-    /// What names it among the results of a pair.
+    /// What names it among the results of a pair; parameters that are not the default ones are part of it.
     pub fn key(&self, pair: &str) -> String {
-        let (similarity, method, rule) = (self.similarity_word(), self.method.name(), self.rule.name());
-        let (length, kind, subset) = (self.length, self.subset.kind.name(), &self.subset.name);
+        let similarity = self.similarity_word();
+        let (method, rule) = (method_label(&self.method), rule_label(&self.rule));
+        let (length, kind) = (self.length, self.subset.kind.name());
+        // Two lists may have one name.
+        let subset = match self.subset.kind {
+            SubsetKind::Named => format!("{} {:x}", self.subset.name, members_digest(&self.subset)),
+            _ => self.subset.name.clone(),
+        };
         format!(
             "{pair}|{similarity}|{method}|{length}|{rule}|{}|{kind}|{subset}",
             self.weights
@@ -183,6 +190,13 @@ impl Spec {
         }
         Ok(all)
     }
+}
+
+/// Tells lists of members of one name apart.
+fn members_digest(subset: &Subset) -> u32 {
+    let mut digest = Digest::default();
+    subset.members.iter().for_each(|m| digest.add(m as u64));
+    digest.0 as u32
 }
 
 fn named(name: &str, list: &[String], members: &[String]) -> Result<Subset, EvaluateError> {

@@ -1,6 +1,6 @@
 //! All configurations of a pair with one similarity, in one pass over the queries.
 //!
-//! What is held at once, for M members, R references, Q queries, blocks of T ticks (so that T·M·R ≤ 4 Mi, T ≥ 1), and per
+//! What is held at once, for M members, R references, Q queries, blocks of T ticks (so that T·M·R ≤ 16 Mi, T ≥ 1), and per
 //! pass the sequences (method, length L) with their configurations C:
 //!
 //! 16·M·R·T + Σ over sequences (8·M·R·(L + 8)) + C·(25·R + 40·Q) bytes
@@ -15,17 +15,19 @@ use crate::pair::Pair;
 use crate::spec::{Configuration, Spec};
 use evpr_core::MemberSet;
 use evpr_core::plan::{SequenceMethod, Similarity};
-use evpr_fuse::similarity::similarity;
+use evpr_fuse::similarity::{PASS, similarities};
 use rayon::prelude::*;
 
 /// Most similarities in a block.
-const BLOCK_VALUES: usize = 4 << 20;
+const BLOCK_VALUES: usize = 16 << 20;
 /// Most ticks in a block.
-const BLOCK_TICKS: usize = 16;
+const BLOCK_TICKS: usize = 2 * PASS;
 
 /// Ticks per block.
 fn block_ticks(members: usize, references: usize) -> usize {
-    (BLOCK_VALUES / (members * references).max(1)).clamp(1, BLOCK_TICKS)
+    let ticks = (BLOCK_VALUES / (members * references).max(1)).clamp(1, BLOCK_TICKS);
+    // The rows of a pass go over the map together.
+    if ticks > PASS { ticks / PASS * PASS } else { ticks }
 }
 
 /// Bytes of similarities and scores of a block.
@@ -152,15 +154,16 @@ impl Kept {
     /// Computes them.
     pub(crate) fn new(pair: &Pair, kind: Similarity, method: SequenceMethod, length: usize) -> Self {
         let member = |m: usize| {
-            let mut block = Block::new(m, pair, 1);
+            let mut block = Block::new(m, pair, PASS);
             let mut lane = Lane::new(method, length, pair.rows[m].reference.present());
             let mut scores = Vec::with_capacity(pair.queries() * pair.references());
             let mut matched = Vec::with_capacity(pair.queries());
-            for query in 0..pair.queries() {
-                block.compare(pair, kind, query, 1);
-                block.score(pair, &mut lane, query, 1);
-                scores.extend_from_slice(&block.scores);
-                matched.push(block.matched[0]);
+            for start in (0..pair.queries()).step_by(PASS) {
+                let count = PASS.min(pair.queries() - start);
+                block.compare(pair, kind, start, count);
+                block.score(pair, &mut lane, start, count);
+                scores.extend_from_slice(&block.scores[..count * pair.references()]);
+                matched.extend_from_slice(&block.matched[..count]);
             }
             (scores, matched)
         };
@@ -276,12 +279,24 @@ impl Block {
     /// Similarities of the ticks from `start` on.
     fn compare(&mut self, pair: &Pair, kind: Similarity, start: usize, count: usize) {
         let member = &pair.rows[self.member];
-        let rows = self.similarities.chunks_exact_mut(pair.references());
-        for (query, out) in (start..start + count).zip(rows) {
-            if member.query.present()[query] {
-                let (map, valid) = (member.reference.rows(), member.reference.present());
-                similarity(kind, member.query.row(query), map, valid, out);
+        let present = &member.query.present()[start..start + count];
+        let there = (start..start + count)
+            .zip(present)
+            .filter(|(_, present)| **present);
+        let queries: Vec<&[f32]> = there.map(|(query, _)| member.query.row(query)).collect();
+        let references = pair.references();
+        let (map, valid) = (member.reference.rows(), member.reference.present());
+        // The rows of the queries that have one come first, and then go where they belong, the last one first.
+        let out = &mut self.similarities[..queries.len() * references];
+        similarities(kind, &queries, map, valid, out);
+        let mut from = queries.len();
+        for (to, _) in present.iter().enumerate().rev().filter(|(_, present)| **present) {
+            from -= 1;
+            if from == to {
+                break;
             }
+            let row = from * references..(from + 1) * references;
+            self.similarities.copy_within(row, to * references);
         }
     }
 

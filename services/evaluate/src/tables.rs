@@ -1,9 +1,10 @@
-//! Further tables beside the results: what differs, what confidence is worth, how alike members are.
+//! Further tables beside the results: what differs, what confidence and members are worth, how alike members are.
 
 use crate::confidence::Trust;
 use crate::error::EvaluateError;
 use crate::results::{Results, Row, quoted, replace};
 use crate::statistics::{Comparison, Members};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// A threshold of confidence, learnt on one pair, and what it does there and elsewhere.
@@ -15,6 +16,21 @@ pub struct Learnt<'a> {
     pub fitted: Trust,
     /// What it does on other pairs, with their rows.
     pub elsewhere: Vec<(&'a Row, Trust)>,
+}
+
+/// Weights of members that were learnt on a pair.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LearntWeights {
+    /// The pair.
+    pub pair: String,
+    /// The similarity that they are for, as in results.
+    pub similarity: String,
+    /// The sequence method, as in results.
+    pub method: String,
+    /// The sequence length, ticks.
+    pub length: usize,
+    /// Per member its weight.
+    pub weights: BTreeMap<String, f64>,
 }
 
 /// The threshold of every configuration on every pair, for a wanted precision; configurations that do not reach it are
@@ -146,6 +162,25 @@ impl Results {
             }
         }
         replace(&self.folder().join("thresholds.csv"), &text)
+    }
+
+    /// Writes `weights.csv`.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_weights(&self, learnt: &[LearntWeights]) -> Result<(), EvaluateError> {
+        let mut text = "learnt_on,similarity,method,length,member,weight\n".to_owned();
+        for l in learnt {
+            for (member, weight) in &l.weights {
+                let (pair, member) = (quoted(&l.pair), quoted(member));
+                let _ = writeln!(
+                    text,
+                    "{pair},{},{},{},{member},{weight}",
+                    l.similarity, l.method, l.length
+                );
+            }
+        }
+        replace(&self.folder().join("weights.csv"), &text)
     }
 
     /// Writes `members.json`.

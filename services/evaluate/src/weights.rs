@@ -1,15 +1,65 @@
-//! Weights of members, learnt from a labelled pair.
+//! Weights of members: given in a file, or learnt from a labelled pair.
 //!
-//! A member's weight is how much more often it is right than chance, as log odds: ln(p / (1 − p)) − ln(c / (1 − c)), and 0
-//! where that is below 0. p = (right + 1) / (n + 2), over the n queries of the pair that have a right place; c is the mean
-//! share of the map's places that is right for them. So weighed, the sum over members that err independently is that of a
-//! naive Bayes vote. Weights are scaled to a mean of 1. On the pair they were learnt on, what they give is fitted.
+//! Learnt, a member's weight is how much more often it is right than chance, as log odds: ln(p / (1 − p)) −
+//! ln(c / (1 − c)), and 0 where that is below 0. p = (right + 1) / (n + 2), over the n queries of the pair that have a
+//! right place; c is the mean share of the map's places that is right for them. So weighed, the sum over members that
+//! err independently is that of a naive Bayes vote. Weights are scaled to a mean of 1. On the pair they were learnt on,
+//! what they give is fitted.
 
 use crate::error::EvaluateError;
-use crate::pair::Pair;
+use crate::pair::{Digest, Pair};
 use crate::results::Row;
 use crate::subsets::SubsetKind;
 use std::collections::BTreeMap;
+use std::io::Read;
+use std::path::Path;
+
+/// Largest file of weights, bytes.
+const MAX_FILE_BYTES: u64 = 1 << 20;
+
+/// Reads weights: a TOML file of `"member" = weight`, as `ensemble.weights` of a configuration. They are named after the
+/// file, with a digest of what it says, so that other weights are other results.
+///
+/// # Errors
+/// When it cannot be read, is not such a file, or names something that is a member of none of the pairs.
+pub fn read_weights(path: &Path, pairs: &[Pair]) -> Result<(String, BTreeMap<String, f64>), EvaluateError> {
+    let file = std::fs::File::open(path).map_err(EvaluateError::io("open", path))?;
+    let mut text = String::new();
+    file.take(MAX_FILE_BYTES)
+        .read_to_string(&mut text)
+        .map_err(EvaluateError::io("read", path))?;
+    let bad = |reason: String| EvaluateError::bad(path, reason);
+    let numbers: BTreeMap<String, toml::Value> =
+        toml::from_str(&text).map_err(|e| bad(e.to_string().trim().replace('\n', " ")))?;
+    let mut weights = BTreeMap::new();
+    let mut digest = Digest::default();
+    for (member, value) in numbers {
+        let number = value.as_float().or_else(|| value.as_integer().map(|n| n as f64));
+        let weight = number.filter(|w| w.is_finite() && *w >= 0.0).ok_or_else(|| {
+            bad(format!(
+                "the weight {value} of {member} makes no sense; give a number of 0 or more"
+            ))
+        })?;
+        if !pairs.iter().any(|p| p.members.contains(&member)) {
+            let known: Vec<&str> = pairs
+                .iter()
+                .flat_map(|p| &p.members)
+                .map(String::as_str)
+                .collect();
+            return Err(bad(format!(
+                "no pair has a member {member}; there are {}",
+                known.join(", ")
+            )));
+        }
+        member.bytes().for_each(|byte| digest.add(u64::from(byte)));
+        digest.add(weight.to_bits());
+        weights.insert(member, weight);
+    }
+    let name = path.file_stem().map_or_else(String::new, |n| {
+        n.to_string_lossy().replace(['|', '\n', '\r', '"'], "_")
+    });
+    Ok((format!("{name}#{:08x}", digest.0 as u32), weights))
+}
 
 /// Learns weights from the rows of single members on this pair; `like` is a row of the similarity, method and length they
 /// are for.

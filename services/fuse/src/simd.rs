@@ -1,11 +1,13 @@
 //! Runs a loop with the widest vectors the processor has, chosen while the program runs. The only `unsafe` of the
-//! crate.
+//! crate, with its `tiles`.
 //!
 //! The build's baseline has vectors of 16 bytes (SSE2 on x86-64); nearly every machine since 2013 has 32 (AVX2). The
 //! same code is compiled for both. Multiplications and additions are not contracted into one, so both give the same
 //! numbers to the bit, and so does every other machine. On the bench (`benches/per_query.rs`) AVX2 makes the cosine
 //! about 1.6 times as fast and the matching 1.2 to 1.3 times.
 #![allow(unsafe_code)]
+
+pub(crate) mod tiles;
 
 /// A piece of work made of plain loops over slices.
 ///

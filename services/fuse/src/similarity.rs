@@ -13,12 +13,15 @@
 //! cancel, are f64. The result is within 1e-5 of the exact one, relatively; where f32 would overflow or lose a tiny
 //! sum, the row is computed again in f64.
 
+mod block;
+
+pub use block::{PASS, similarities};
+
+use crate::simd::tiles::LANES;
 use crate::simd::{Kernel, run_widest};
 use evpr_core::plan::Similarity;
 use rayon::prelude::*;
 
-/// f32 lanes of the inner loop.
-const LANES: usize = 16;
 /// Steps of all lanes on one row before the other row has its turn: 256 bytes.
 const SPAN: usize = 4;
 /// Values summed in f32 lanes before they go into f64: 64 per lane.

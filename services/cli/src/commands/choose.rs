@@ -5,8 +5,8 @@ use crate::args::ChooseArgs;
 use crate::catalog;
 use crate::failure::Failure;
 use crate::output::say;
-use evpr_core::config::{RULES, SEQUENCE_METHODS, SIMILARITIES};
-use evpr_core::plan::Rule;
+use evpr_core::config::{SIMILARITIES, parse_method, parse_rule};
+use evpr_core::plan::{Rule, SequenceMethod};
 use evpr_evaluate::MemberName;
 use evpr_evaluate::choose::{Choice, Chosen, Costs, Wanted, choose as search};
 use std::io::Write;
@@ -27,9 +27,9 @@ pub(crate) fn choose(args: &ChooseArgs) -> Result<ExitCode, Failure> {
         )));
     }
     let asked = |option: &'static str| move |e: String| Failure::usage(format!("{option}: {e}"));
-    let method = SEQUENCE_METHODS.parse(&args.method).map_err(asked("--method"))?;
+    let method = parse_method(&args.method).map_err(asked("--method"))?;
     let rule = match &args.rule {
-        Some(rule) => RULES.parse(rule).map_err(asked("--rule"))?,
+        Some(rule) => parse_rule(rule).map_err(asked("--rule"))?,
         None => Rule::default_with(Some(method)),
     };
     let wanted = Wanted {
@@ -113,7 +113,13 @@ fn show(chosen: &Chosen) {
 /// Writes the configuration with these members, and with no stage or window that none of them uses.
 fn write_config(wanted: &Wanted, config: &Path, out: &Path, choice: &Choice) -> Result<(), Failure> {
     let wrong = |reason: String| Failure::new(format!("{}: {reason}", config.display()));
-    catalog::load(config)?;
+    let given = catalog::load(config)?;
+    let known = |member: &&String| given.members().iter().any(|m| m.name == **member);
+    if let Some(missing) = choice.members.iter().find(|m| !known(m)) {
+        return Err(wrong(format!(
+            "it has no member {missing}; give the configuration that the traverses were recorded with"
+        )));
+    }
     let text = std::fs::read_to_string(config).map_err(|e| wrong(e.to_string()))?;
     let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| wrong(e.to_string()))?;
     let parts: Vec<MemberName<'_>> = choice
@@ -151,11 +157,7 @@ fn write_config(wanted: &Wanted, config: &Path, out: &Path, choice: &Choice) -> 
         .or_insert_with(|| toml::Table::new().into())
         .as_table_mut()
         .ok_or_else(|| wrong("fuse is no table".to_owned()))?;
-    let mut sequence = toml::Table::new();
-    sequence.insert("method".to_owned(), wanted.method.name().into());
-    if wanted.method.has_length() {
-        sequence.insert("length".to_owned(), (wanted.length as i64).into());
-    }
+    let sequence = sequence(wanted);
     let similarities = SIMILARITIES.all();
     let similarity = similarities
         .into_iter()
@@ -164,16 +166,13 @@ fn write_config(wanted: &Wanted, config: &Path, out: &Path, choice: &Choice) -> 
     fuse.insert("sequence".to_owned(), sequence.into());
     fuse.insert("rule".to_owned(), wanted.rule.name().into());
     fuse.remove("trim");
+    if let Rule::TrimmedMean { trim } = wanted.rule {
+        fuse.insert("trim".to_owned(), trim.into());
+    }
     let text = toml::to_string(&table).map_err(|e| wrong(e.to_string()))?;
     // What is written must be what `evpr run` takes.
     let file = out.display().to_string();
-    let checked = catalog::parse(&text, &file)?;
-    let found: Vec<&str> = checked.members().iter().map(|m| m.name.as_str()).collect();
-    if let Some(missing) = choice.members.iter().find(|m| !found.contains(&m.as_str())) {
-        return Err(wrong(format!(
-            "it has no member {missing}; give the configuration that the traverses were recorded with"
-        )));
-    }
+    catalog::parse(&text, &file)?;
     let head = format!(
         "# {} with the members that `evpr choose` found for {} ms per tick: fitted recall {:.4}.\n",
         config.display(),
@@ -184,6 +183,30 @@ fn write_config(wanted: &Wanted, config: &Path, out: &Path, choice: &Choice) -> 
     created
         .and_then(|mut file| file.write_all((head + &text).as_bytes()))
         .map_err(|e| Failure::new(format!("{file}: cannot be written: {e}")))
+}
+
+/// The sequence method with all its parameters, as in a configuration.
+fn sequence(wanted: &Wanted) -> toml::Table {
+    let mut table = toml::Table::new();
+    let mut set = |key: &str, value: toml::Value| table.insert(key.to_owned(), value);
+    set("method", wanted.method.name().into());
+    if wanted.method.has_length() {
+        set("length", (wanted.length as i64).into());
+    }
+    match wanted.method {
+        SequenceMethod::SeqSlam(is) => {
+            set("window", (is.window as i64).into());
+            set("velocities", is.velocities.to_vec().into());
+            set("velocity_steps", (is.velocity_steps as i64).into());
+        }
+        SequenceMethod::Filter(is) => {
+            set("beta", is.beta.into());
+            set("transition", is.transition.probabilities().to_vec().into());
+            set("restart", is.restart.into());
+        }
+        SequenceMethod::Paper | SequenceMethod::Rows | SequenceMethod::None => {}
+    }
+    table
 }
 
 /// Whether a window's id and a duration of the configuration mean the same.

@@ -3,11 +3,11 @@
 use crate::args::EvaluateArgs;
 use crate::failure::Failure;
 use crate::output::say;
-use evpr_core::config::{RULES, SEQUENCE_METHODS, SIMILARITIES};
+use evpr_core::config::{SIMILARITIES, parse_method, parse_rule};
 use evpr_evaluate::statistics::{comparisons, members};
 use evpr_evaluate::{
-    Pair, PairSpec, PairsFile, Progress, Results, Row, Spec, SubsetChoice, SubsetKind, Truth,
-    evaluate as run, learnt_weights,
+    LearntWeights, Pair, PairSpec, PairsFile, Progress, Results, Row, Spec, SubsetChoice, SubsetKind, Truth,
+    evaluate as run, learnt_weights, read_weights,
 };
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
@@ -29,10 +29,22 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
         .as_deref()
         .map(|name| pair_named(&pairs, name))
         .transpose()?;
+    let given = args.weights.as_deref();
+    let given = given.map(|path| read_weights(path, &pairs)).transpose()?;
     let mut results = Results::open(&args.out, &pairs)?;
     let before = results.rows().len();
     let progress = Bar::new(args.quiet);
     let evaluated = run(&pairs, &spec, &mut results, &progress).map_err(Failure::from);
+    let evaluated = evaluated.and_then(|()| match given {
+        Some(given) => {
+            let weighted = Spec {
+                weights: Some(given),
+                ..spec.clone()
+            };
+            Ok(run(&pairs, &weighted, &mut results, &progress)?)
+        }
+        None => Ok(()),
+    });
     let evaluated = evaluated.and_then(|()| match teacher {
         Some(teacher) => weigh(&pairs, teacher, &spec, &mut results, &progress),
         None => Ok(()),
@@ -84,6 +96,7 @@ fn weigh(
     progress: &Bar,
 ) -> Result<(), Failure> {
     let mut seen = Vec::new();
+    let mut learnt = Vec::new();
     for c in spec.configurations(pair.members())? {
         if seen.contains(&(c.similarity, c.method, c.length)) {
             continue;
@@ -92,19 +105,24 @@ fn weigh(
         let key = c.key(pair.name());
         let like = results.rows().iter().find(|r| r.key == key).cloned();
         let like = like.ok_or_else(|| Failure::new(format!("{key} was not evaluated")))?;
+        let weights = learnt_weights(pair, results.rows(), &like)?;
         let weighted = Spec {
             similarities: vec![c.similarity],
             methods: vec![c.method],
             lengths: vec![c.length],
-            weights: Some((
-                format!("learnt:{}", pair.name()),
-                learnt_weights(pair, results.rows(), &like)?,
-            )),
+            weights: Some((format!("learnt:{}", pair.name()), weights.clone())),
             ..spec.clone()
         };
         run(pairs, &weighted, results, progress)?;
+        learnt.push(LearntWeights {
+            pair: pair.name().to_owned(),
+            similarity: like.similarity,
+            method: like.method,
+            length: like.length,
+            weights,
+        });
     }
-    Ok(())
+    Ok(results.write_weights(&learnt)?)
 }
 
 /// Opens all pairs that were asked for, and gives subsets that have a name.
@@ -169,9 +187,9 @@ fn spec(args: &EvaluateArgs, named: &[SubsetChoice]) -> Result<Spec, Failure> {
     let spec = Spec {
         subsets,
         similarities: all(&args.similarity, |w| SIMILARITIES.parse(w), "--similarity")?,
-        methods: all(&args.method, |w| SEQUENCE_METHODS.parse(w), "--method")?,
+        methods: all(&args.method, parse_method, "--method")?,
         lengths: args.length.clone(),
-        rules: all(&args.rule, |w| RULES.parse(w), "--rule")?,
+        rules: all(&args.rule, parse_rule, "--rule")?,
         exclusion: args.exclusion,
         weights: None,
         memory_bytes: args.memory << 20,
@@ -234,15 +252,21 @@ impl Progress for Bar {
 
 /// One line per pair, kind and sequence: the best and the mean.
 fn show(rows: &[Row]) {
-    let width = rows.iter().map(|r| r.pair.len()).max().unwrap_or(4).max(4);
+    let width = |of: fn(&Row) -> &str, least: usize| {
+        let widths = rows.iter().map(|row| of(row).chars().count());
+        widths.max().unwrap_or(least).max(least)
+    };
+    let (pair, method) = (width(|r| &r.pair, 4), width(|r| &r.method, 8));
+    let (rule, weights) = (width(|r| &r.rule, 4), width(|r| &r.weights, 7));
     say!(
-        "Recall@1 of all queries; in brackets of those that have a right place\n{:<width$}  {:<10} {:<8} {:>3}  {:<12} {:<14} \
-         {:>4}  {:>15}  {:>15}",
+        "Recall@1 of all queries; in brackets of those that have a right place\n{:<pair$}  {:<10}  {:<method$}  {:>3}  \
+         {:<rule$}  {:<weights$}  {:<14}  {:>4}  {:>15}  {:>15}",
         "pair",
         "similarity",
         "method",
         "L",
         "rule",
+        "weights",
         "subsets",
         "n",
         "mean",
@@ -277,12 +301,13 @@ fn show(rows: &[Row]) {
             .max_by(|a, b| a.of_all.total_cmp(&b.of_all))
             .unwrap_or_default();
         say!(
-            "{:<width$}  {:<10} {:<8} {:>3}  {:<12} {:<14} {:>4}  {:>7.4} ({:.3})  {:>7.4} ({:.3})",
+            "{:<pair$}  {:<10}  {:<method$}  {:>3}  {:<rule$}  {:<weights$}  {:<14}  {:>4}  {:>7.4} ({:.3})  {:>7.4} ({:.3})",
             first.pair,
             first.similarity,
             first.method,
             first.length,
             first.rule,
+            first.weights,
             first.kind.name(),
             these.len(),
             mean(&|r| r.measures.recall_at[0].of_all),

@@ -6,6 +6,7 @@ use crate::pair::Pair;
 use crate::spec::{Configuration, Spec, SubsetChoice};
 use crate::subsets::SubsetKind;
 use crate::sweep::sweep;
+use evpr_core::config::method_label;
 use evpr_core::plan::Similarity;
 use evpr_fuse::similarity::similarity;
 use rayon::prelude::*;
@@ -72,7 +73,7 @@ pub fn members(pair: &Pair, spec: &Spec) -> Result<Members, EvaluateError> {
     Ok(Members {
         pair: pair.name.clone(),
         similarity: first.map_or_else(String::new, |c| c.similarity_word().to_owned()),
-        method: first.map_or_else(String::new, |c| c.method.name().to_owned()),
+        method: first.map_or_else(String::new, |c| method_label(&c.method)),
         length: first.map_or(0, |c| c.length),
         members: pair.members.clone(),
         recall: wrong.iter().map(recall).collect(),

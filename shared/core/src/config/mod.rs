@@ -9,6 +9,7 @@ mod frames;
 mod fuse;
 mod governor;
 mod inference;
+mod labels;
 mod members;
 mod noise;
 mod positions;
@@ -24,6 +25,7 @@ mod words;
 
 pub use error::{ConfigError, ConfigErrors};
 pub use inference::{DEFAULT_REGISTRY, registry_path};
+pub use labels::{method_label, parse_method, parse_rule, rule_label};
 pub use positions::parse_zone;
 pub use sink::KeyDoc;
 pub use test_catalog::test_catalog;
