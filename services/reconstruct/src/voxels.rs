@@ -239,7 +239,9 @@ fn moments(values: &[f32]) -> (u64, f64, f64) {
     for group in groups {
         (0..LANES).for_each(|lane| enter(lane, group[lane]));
     }
-    rest.iter().enumerate().for_each(|(lane, value)| enter(lane, *value));
+    rest.iter()
+        .enumerate()
+        .for_each(|(lane, value)| enter(lane, *value));
     (counts.iter().sum(), sums.iter().sum(), squares.iter().sum())
 }
 

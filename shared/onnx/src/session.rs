@@ -128,16 +128,6 @@ pub fn pattern(numbers: usize) -> Vec<f32> {
         .collect()
 }
 
-/// Where the first number is that is not finite.
-pub(crate) fn first_not_finite(numbers: &[f32]) -> Option<usize> {
-    // Without a way out inside a chunk, which the compiler makes vector instructions of: a network's memory is 20 MB.
-    const CHUNK: usize = 1024;
-    let bad = |chunk: &[f32]| chunk.iter().fold(false, |bad, v| bad | !v.is_finite());
-    let chunk = numbers.chunks(CHUNK).position(bad)?;
-    let within = numbers.iter().skip(chunk * CHUNK).position(|v| !v.is_finite());
-    within.map(|within| chunk * CHUNK + within)
-}
-
 /// An error about the model's file.
 pub(crate) fn wrong_model(model: &Model, problem: String) -> OnnxError {
     OnnxError::Model {

@@ -9,6 +9,7 @@ mod channel_tests;
 mod clock;
 mod control;
 mod domain;
+mod placement;
 mod profile;
 mod run;
 mod shm;
@@ -21,6 +22,7 @@ mod wait;
 pub use clock::now_ns;
 pub use control::{Change, ControlReply, ControlRequest, MAX_LENGTH, MemberState, request};
 pub use domain::{RunFolder, RunSpec};
+pub use placement::use_processors;
 pub use profile::{
     FuseStatus, GovernorStatus, LatencyStatus, MemberStatus, Quantiles, ServiceStatus, Status, Times,
 };

@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::output::say;
 use evpr_core::Plan;
 use evpr_core::config::Overrides;
-use evpr_core::plan::{Network, ServiceKind};
+use evpr_core::plan::{Network, Placement, ServiceKind};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -76,6 +76,7 @@ struct GraphReport {
     windows: Vec<String>,
     processes: Vec<String>,
     networks: Vec<NetworkRow>,
+    placements: Vec<Placement>,
     members: Vec<String>,
     channels: Vec<ChannelRow>,
     shared_memory_bytes: u64,
@@ -101,6 +102,7 @@ fn report(plan: &Plan) -> Result<GraphReport, Failure> {
             .collect(),
         processes: plan.services().into_iter().map(|s| s.name).collect(),
         networks: networks(plan),
+        placements: plan.placements.clone(),
         members: plan.members.iter().map(|m| m.name.clone()).collect(),
         channels: channels.collect(),
         shared_memory_bytes: room.needed,
@@ -136,6 +138,9 @@ pub(crate) fn graph(args: &GraphArgs) -> Result<ExitCode, Failure> {
             network.threads,
             if network.optional { ", optional" } else { "" }
         );
+    }
+    for placement in &report.placements {
+        say!("placement  {placement}");
     }
     say!("members    {}", report.members.len());
     for member in &report.members {

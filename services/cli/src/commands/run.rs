@@ -149,8 +149,10 @@ pub(crate) fn run_graph(plan: &Plan, quiet_logs: bool, hooks: &mut dyn Hooks) ->
     let executable = std::env::current_exe()?;
     let run_folder = folder.path().to_owned();
     let reads_stdin = plan.source.is_stdin();
+    let placements = plan.clone();
     let command = move |service: &Service, spawn: &Spawn| {
-        let mut command = service_command(&executable, &run_folder, service, spawn);
+        let launcher = placements.placement_of(service).map_or(&[][..], |p| &p.launcher);
+        let mut command = service_command(&executable, launcher, &run_folder, service, spawn);
         if reads_stdin && service.kind == ServiceKind::Ingest {
             command.stdin(Stdio::inherit());
         }
@@ -194,8 +196,23 @@ fn conclude(plan: &Plan, summary: RunSummary) -> Result<ExitCode, Failure> {
     }
 }
 
-fn service_command(executable: &Path, run_folder: &Path, service: &Service, spawn: &Spawn) -> Command {
-    let mut command = Command::new(executable);
+fn service_command(
+    executable: &Path,
+    launcher: &[String],
+    run_folder: &Path,
+    service: &Service,
+    spawn: &Spawn,
+) -> Command {
+    let process = service.name.replace('/', "-");
+    let mut launcher = launcher.iter().map(|word| word.replace("{process}", &process));
+    let mut command = match launcher.next() {
+        Some(program) => {
+            let mut command = Command::new(program);
+            command.args(launcher).arg(executable);
+            command
+        }
+        None => Command::new(executable),
+    };
     command
         .arg("service")
         .arg(service.kind.name())

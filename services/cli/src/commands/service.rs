@@ -10,6 +10,7 @@ use std::process::ExitCode;
 /// Joins the run and works until it is told to stop.
 pub(crate) fn service(args: &ServiceArgs) -> Result<ExitCode, Failure> {
     let ctx = ServiceContext::join(RunFolder::at(&args.run_folder), args.service, args.incarnation)?;
+    evpr_runtime::use_processors(&ctx.plan, &ctx.service)?;
     work(ctx, args)?;
     Ok(ExitCode::SUCCESS)
 }

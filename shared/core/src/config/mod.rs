@@ -12,6 +12,7 @@ mod inference;
 mod labels;
 mod members;
 mod noise;
+mod placement;
 mod positions;
 mod reader;
 mod schema;
@@ -37,8 +38,8 @@ pub use words::{
 
 use crate::plan::{
     Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Governor, Inference, LiveSource,
-    Member, OnBadEvent, OnOtherSize, Pace, Plan, Positions, Reconstruction, RowType, Sensor, Slicing, Source,
-    Street, StreetPass,
+    Member, OnBadEvent, OnOtherSize, Pace, Placement, Plan, Positions, Reconstruction, RowType, Sensor,
+    Slicing, Source, Street, StreetPass,
 };
 use positions::PositionsSection;
 use reader::Table;
@@ -63,6 +64,7 @@ pub struct Config {
     record_rows: RowType,
     runtime: RuntimeSection,
     governor: Option<Governor>,
+    placements: Vec<Placement>,
     /// Where to point when the sensor or the recording turns out to be wrong or missing.
     places: Places,
 }
@@ -117,7 +119,7 @@ pub fn parse(text: &str, file: &str, catalog: &Catalog<'_>) -> Result<Config, Co
 
 /// Every key of the configuration, in the order of the sections. The parameters of a kind are in the [`Catalog`].
 pub fn key_reference(catalog: &Catalog<'_>) -> Vec<KeyDoc> {
-    let example = "[[reconstruction]]\n[[extractor]]\n";
+    let example = "[[reconstruction]]\n[[extractor]]\n[[placement]]\n";
     let document = syntax::parse(example);
     let sink = Sink::new(example, "");
     read(&sink, Table::root(&sink, &document.table), catalog);
@@ -163,6 +165,8 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
     let record_rows = schema::record(root.section("record"));
     let runtime = schema::runtime(root.section("runtime"));
     let governor = governor::governor(root.section("governor"), members.as_deref());
+    let (of_frames, of_rows) = (reconstructions.known_ids(), extractors.known_ids());
+    let placements = placement::placements(&root, of_frames.as_deref(), of_rows.as_deref());
     root.close();
     let positions = positions?;
     Some(Config {
@@ -179,6 +183,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
         record_rows: record_rows?,
         runtime: runtime?,
         governor: governor?,
+        placements: placements?,
         places: Places {
             sensor: sink.error(&sensor_at, ""),
             source: sink.error(&source_at, ""),
@@ -399,6 +404,7 @@ impl Config {
             delivery: overrides.delivery.unwrap_or(self.runtime.delivery),
             deadline_ns: self.runtime.deadline_ns,
             governor: self.governor.clone(),
+            placements: self.placements.clone(),
             map: overrides.map.clone(),
             record: overrides.record.clone(),
             record_rows: self.record_rows,

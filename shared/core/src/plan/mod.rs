@@ -7,6 +7,7 @@ mod fuse;
 mod kind;
 mod model;
 mod noise;
+mod placement;
 mod positions;
 mod slicing;
 mod source;
@@ -20,6 +21,7 @@ pub use model::{
     threads_of,
 };
 pub use noise::{Filters, HotPixelRule, HotPixels, HotPixelsFrom, MaskedBy, Pixel};
+pub use placement::Placement;
 pub use positions::{
     Crop, DEFAULT_MAX_GAP_NS, PositionClock, PositionCompat, PositionKind, Positions, UtmZone,
 };
@@ -233,6 +235,9 @@ pub struct Plan {
     /// The latency that members are shed to keep, if it is kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub governor: Option<Governor>,
+    /// Where processes run, if not wherever the system puts them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub placements: Vec<Placement>,
     /// The reference map, when the graph has a fuser.
     pub map: Option<PathBuf>,
     /// The traverse to record, when the graph has a recorder.
@@ -456,6 +461,7 @@ pub fn test_plan() -> Plan {
         delivery: Delivery::Lossless,
         deadline_ns: 1_000_000_000,
         governor: None,
+        placements: Vec::new(),
         map: Some(PathBuf::from("map")),
         record: None,
         record_rows: RowType::F32,

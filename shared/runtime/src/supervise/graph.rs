@@ -294,9 +294,11 @@ impl Supervisor {
             answer_from: start.answer_from,
             end_tick: start.end_tick,
         };
-        let child = (self.command)(&process.service, &spawn).spawn();
-        let child = child
-            .map_err(|e| RuntimeError::Process(format!("cannot start {}: {e}", process.service.name)))?;
+        let mut command = (self.command)(&process.service, &spawn);
+        let child = command.spawn().map_err(|e| {
+            let (name, program) = (&process.service.name, command.get_program().display());
+            RuntimeError::Process(format!("cannot start {name} as {program}: {e}"))
+        })?;
         process.child = Some(child);
         Ok(())
     }
