@@ -18,6 +18,7 @@ mod live;
 mod members;
 mod networks;
 mod noise;
+mod packaging;
 mod placement;
 mod profile;
 mod replay;
