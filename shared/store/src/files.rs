@@ -2,6 +2,7 @@
 //! failed attempt left is overwritten by the next.
 
 use crate::commit::RECORD_BYTES;
+use crate::disk;
 use crate::error::StoreError;
 use crate::layout::{self, COMMITS, ROWS, TICKS};
 use crate::manifest::{Manifest, MemberEntry};
@@ -28,23 +29,28 @@ impl NamedFile {
         let mut options = OpenOptions::new();
         options.read(true).write(true).create_new(create);
         let action = if create { "create" } else { "open" };
-        match options.open(&path) {
+        let opened = if create {
+            disk::open(&path, &options)
+        } else {
+            options.open(&path)
+        };
+        match opened {
             Ok(file) => Ok(Self { path, file }),
             Err(e) => Err(StoreError::io(action, &path)(e)),
         }
     }
 
     pub(crate) fn write_at(&self, bytes: &[u8], offset: u64) -> Result<(), Failed> {
-        let written = self.file.write_all_at(bytes, offset);
+        let written = disk::write_at(&self.file, bytes, offset);
         written.map_err(|e| (self.path.clone(), e))
     }
 
     pub(crate) fn set_len(&self, bytes: u64) -> Result<(), Failed> {
-        self.file.set_len(bytes).map_err(|e| (self.path.clone(), e))
+        disk::set_len(&self.file, bytes).map_err(|e| (self.path.clone(), e))
     }
 
     fn sync(&self) -> Result<(), Failed> {
-        self.file.sync_all().map_err(|e| (self.path.clone(), e))
+        disk::sync(&self.file).map_err(|e| (self.path.clone(), e))
     }
 
     pub(crate) fn len(&self) -> Result<u64, StoreError> {
@@ -97,7 +103,7 @@ impl Files {
     pub(crate) fn create(folder: &Path, members: &[MemberEntry]) -> Result<Self, StoreError> {
         for member in members {
             if let Some(inside) = layout::rows_file(folder, &member.name).parent() {
-                fs::create_dir_all(inside).map_err(StoreError::io("create", inside))?;
+                disk::create_dir_all(inside).map_err(StoreError::io("create", inside))?;
             }
         }
         let files = Self::with(folder, members, true)?;
@@ -194,23 +200,19 @@ pub(crate) fn name_finished(folder: &Path, path: &Path) -> Result<(), Failed> {
         return Err((path.to_owned(), ErrorKind::AlreadyExists.into()));
     }
     let commits = folder.join(COMMITS);
-    match fs::remove_file(&commits) {
+    match disk::remove_file(&commits) {
         Err(e) if e.kind() != ErrorKind::NotFound => return Err((commits, e)),
         _ => {}
     }
-    let sync = |dir: &Path| {
-        let synced = File::open(dir).and_then(|dir| dir.sync_all());
-        synced.map_err(|e| (dir.to_owned(), e))
-    };
+    let sync = |dir: &Path| disk::sync_folder(dir).map_err(|e| (dir.to_owned(), e));
     sync(folder)?;
-    fs::rename(folder, path).map_err(|e| (path.to_owned(), e))?;
+    disk::rename(folder, path).map_err(|e| (path.to_owned(), e))?;
     sync(layout::parent(path))
 }
 
 /// Brings a folder's list of files to the disk.
 pub(crate) fn sync_folder(folder: &Path) -> Result<(), StoreError> {
-    let synced = File::open(folder).and_then(|dir| dir.sync_all());
-    synced.map_err(StoreError::io("write", folder))
+    disk::sync_folder(folder).map_err(StoreError::io("write", folder))
 }
 
 /// Locks the recording for as long as the file is open. The system lifts the lock when the process dies. Where the file

@@ -22,6 +22,7 @@
 
 mod commit;
 mod difference;
+mod disk;
 mod error;
 mod files;
 mod ground_truth;

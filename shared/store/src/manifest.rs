@@ -1,13 +1,14 @@
 //! `traverse.json`: what a traverse is.
 
+use crate::disk;
 use crate::error::StoreError;
 use crate::layout::{self, MANIFEST, NEW};
 use evpr_core::Plan;
 use evpr_core::plan::{RowType, Sensor, Slicing};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::{self, File};
-use std::io::{ErrorKind, Write};
+use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
 /// What the manifest of every traverse says it is.
@@ -181,11 +182,10 @@ impl Manifest {
         let new = folder.join(format!("{MANIFEST}{NEW}"));
         let mut text = serde_json::to_vec_pretty(self).map_err(std::io::Error::other)?;
         text.push(b'\n');
-        let mut file = File::create(&new)?;
-        file.write_all(&text)?;
-        file.sync_all()?;
-        fs::rename(&new, folder.join(MANIFEST))?;
-        File::open(folder)?.sync_all()
+        let file = disk::write_new(&new, &text)?;
+        disk::sync(&file)?;
+        disk::rename(&new, &folder.join(MANIFEST))?;
+        disk::sync_folder(folder)
     }
 
     /// What cannot be, in one line.

@@ -1,12 +1,11 @@
 //! Gives the ticks of a finished traverse their positions.
 
+use crate::disk;
 use crate::error::StoreError;
 use crate::files::sync_folder;
 use crate::layout::{NEW, TICKS};
 use crate::ticks::{HEADER, TickRecord};
 use crate::traverse::{check_tick_count, read_head};
-use std::fs::{self, File};
-use std::io::Write;
 use std::path::Path;
 
 /// Replaces the positions of the traverse in this folder: per tick metres east and north at its start, or `None` where
@@ -37,12 +36,9 @@ pub fn set_positions(path: &Path, positions: &[Option<[f64; 2]>]) -> Result<(), 
         TickRecord { position, ..tick }.write_line(&mut text);
     }
     let (file, new) = (path.join(TICKS), path.join(format!("{TICKS}{NEW}")));
-    let written = File::create(&new).and_then(|mut out| {
-        out.write_all(text.as_bytes())?;
-        out.sync_all()
-    });
+    let written = disk::write_new(&new, text.as_bytes()).and_then(|out| disk::sync(&out));
     written.map_err(StoreError::io("write", &new))?;
-    fs::rename(&new, &file).map_err(StoreError::io("replace", &file))?;
+    disk::rename(&new, &file).map_err(StoreError::io("replace", &file))?;
     sync_folder(path)
 }
 
@@ -51,6 +47,7 @@ mod tests {
     use super::*;
     use crate::test_support::recording;
     use crate::{Traverse, verify};
+    use std::fs;
 
     #[test]
     fn positions_are_replaced_and_nothing_else() {

@@ -2,6 +2,7 @@
 
 use crate::commit::{Commit, RECORD_BYTES, TickSum};
 use crate::difference;
+use crate::disk;
 use crate::error::StoreError;
 use crate::files::{Failed, Files, present_offset, sync_folder};
 use crate::layout::{self, COMMITS, MANIFEST, NEW, ROWS, TICKS, partial_path};
@@ -52,8 +53,8 @@ impl TraverseWriter {
         let manifest = header.draft()?;
         refuse_existing(path)?;
         let parent = layout::parent(path);
-        fs::create_dir_all(parent).map_err(StoreError::io("create", parent))?;
-        match fs::create_dir(&folder) {
+        disk::create_dir_all(parent).map_err(StoreError::io("create", parent))?;
+        match disk::create_dir(&folder) {
             Err(e) if e.kind() == ErrorKind::AlreadyExists => {
                 return Err(StoreError::PartialExists(path.to_owned()));
             }
@@ -61,7 +62,7 @@ impl TraverseWriter {
         }
         Self::fill(path, &folder, manifest).inspect_err(|_| {
             // Made a moment ago and empty of ticks. What cannot be removed stays, and says so at the next attempt.
-            let _ = fs::remove_dir_all(&folder);
+            let _ = disk::remove_dir_all(&folder);
         })
     }
 
@@ -88,7 +89,7 @@ impl TraverseWriter {
             return Err(StoreError::Missing(folder));
         }
         if was_just_begun(&folder)? {
-            fs::remove_dir_all(&folder).map_err(StoreError::io("remove", &folder))?;
+            disk::remove_dir_all(&folder).map_err(StoreError::io("remove", &folder))?;
             return Self::create(path, header);
         }
         let mut manifest = Manifest::read(&folder)?;
@@ -282,7 +283,7 @@ impl TraverseWriter {
     pub fn discard(mut self) -> Result<(), StoreError> {
         self.syncer.stop();
         let folder = &self.files.folder;
-        fs::remove_dir_all(folder).map_err(StoreError::io("remove", folder))
+        disk::remove_dir_all(folder).map_err(StoreError::io("remove", folder))
     }
 
     fn refuse_broken(&self) -> Result<(), StoreError> {

@@ -1,5 +1,6 @@
 //! Tests of recording, closing and opening together.
 
 mod crash;
+mod fail_points;
 mod refusals;
 mod round_trip;
