@@ -19,6 +19,7 @@ mod members;
 mod networks;
 mod noise;
 mod packaging;
+mod permissions;
 mod placement;
 mod profile;
 mod replay;

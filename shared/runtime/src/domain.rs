@@ -286,11 +286,40 @@ impl RunFolder {
             .global
             .set_root_path(&Path::new(self.ipc_root().as_os_str().as_encoded_bytes()).map_err(bad)?);
         let node_name = NodeName::new(name).map_err(|e| RuntimeError::ipc("bad node name", e))?;
-        NodeBuilder::new()
+        let node = NodeBuilder::new()
             .name(&node_name)
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<Ipc>()
-            .map_err(|e| RuntimeError::ipc("cannot create a node in shared memory", e))
+            .map_err(|e| RuntimeError::ipc("cannot create a node in shared memory", e))?;
+        self.keep_others_out()?;
+        Ok(node)
+    }
+
+    /// Takes from others what iceoryx2 gives them: one file, which counts nodes, may be written by everybody.
+    fn keep_others_out(&self) -> Result<(), RuntimeError> {
+        let prefix = self.prefix();
+        let folder = FsPath::new("/dev/shm");
+        let entries = fs::read_dir(folder).map_err(|e| io_error("cannot look at", folder, &e))?;
+        for entry in entries.flatten() {
+            let name = entry.file_name();
+            if !name.as_encoded_bytes().starts_with(prefix.as_bytes()) {
+                continue;
+            }
+            let path = entry.path();
+            let protected = fs::symlink_metadata(&path).and_then(|meta| {
+                let mode = meta.permissions().mode();
+                if meta.is_file() && mode & 0o077 != 0 {
+                    fs::set_permissions(&path, fs::Permissions::from_mode(mode & 0o700))?;
+                }
+                Ok(())
+            });
+            match protected {
+                // Another process of this instance has ended.
+                Err(e) if e.kind() == ErrorKind::NotFound => {}
+                protected => protected.map_err(|e| io_error("cannot protect", &path, &e))?,
+            }
+        }
+        Ok(())
     }
 }
