@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 """Times `evpr evaluate` on a study of the paper's size, over traverses of random rows.
 
-    scripts/bench_study.py --ticks 600 [--pairs 10] [--evpr target/release/evpr] [--folder DIR] [--memory MIB]
+    scripts/bench_study.py --ticks 600 [--pairs 10] [--evpr target/release/evpr] [--memory MIB] [--folder DIR [--make]]
 
 Makes as few traverses as give so many pairs (five give ten), of 64 members each: 4 reconstructions × 4 windows × 4
 extractors (NetVLAD 4096, CosPlace 512, MixVPR 4096, MegaLoc 8448 values, f32). A row is the place's own noise and the
 drive's, half and half, of length 1. Places are 10 m apart, right is what lies within 25 m. Then runs the method paper with
 lengths 10, 20 and 30 over the ensembles of the paper (64 single ones, 16 of each kind of four, all 64), and prints time,
-processor time and the most memory: anonymous memory, without the rows, which are mapped from the disk. The folder is
-removed afterwards.
+processor time and the most memory: anonymous memory, without the rows, which are mapped from the disk. With --folder the
+traverses are kept there; --make only makes them.
 """
 import argparse
 import itertools
@@ -79,36 +79,47 @@ def main():
     parser.add_argument("--evpr", default="target/release/evpr")
     parser.add_argument("--folder", type=pathlib.Path)
     parser.add_argument("--memory", type=int, default=2048, metavar="MIB")
+    parser.add_argument("--make", action="store_true")
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory(dir=args.folder) as folder:
-        folder = pathlib.Path(folder)
-        drives = next(n for n in itertools.count(2) if n * (n - 1) // 2 >= args.pairs)
-        for drive in range(drives):
+    if args.folder:
+        args.folder.mkdir(parents=True, exist_ok=True)
+        return study(args, args.folder)
+    with tempfile.TemporaryDirectory() as folder:
+        study(args, pathlib.Path(folder))
+
+
+def study(args, folder):
+    drives = next(n for n in itertools.count(2) if n * (n - 1) // 2 >= args.pairs)
+    for drive in range(drives):
+        if not (folder / f"drive{drive}" / "traverse.json").exists():
             write_traverse(folder / f"drive{drive}", args.ticks, drive)
-        size = sum(f.stat().st_size for f in folder.rglob("*.npy"))
-        print(f"{drives} traverses of {args.ticks} ticks, {size / 2**30:.1f} GiB", flush=True)
-        pairs = itertools.islice(itertools.combinations(range(drives), 2), args.pairs)
-        pair = '[[pair]]\nreference = "drive{}"\nquery = "drive{}"\nground_truth = "positions"\n'
-        (folder / "pairs.toml").write_text("".join(pair.format(*p) for p in pairs))
-        command = [args.evpr, "evaluate", "--quiet", "--pairs", folder / "pairs.toml", "-l", "10,20,30"]
-        command += ["--memory", str(args.memory), "-o", folder / "out"]
-        start, most = time.perf_counter(), 0
-        process = subprocess.Popen(command)
-        while process.poll() is None:
-            most = max(most, anonymous_kib(process.pid))
-            time.sleep(0.05)
-        wall = time.perf_counter() - start
-        if process.returncode:
-            raise SystemExit(process.returncode)
-        rows = json.loads((folder / "out" / "results.json").read_text())["rows"]
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        comparisons = args.pairs * args.ticks**2 * 16 * sum(EXTRACTORS.values())
-        print(f"{args.pairs} pairs, {len(rows)} configurations: {wall:.1f} s ({used.ru_utime + used.ru_stime:.1f} s of processor)")
-        print(f"{comparisons / wall / 1e9:.1f} billion values compared per second, everything else included")
-        print(f"at most {most / 2**10:.0f} MiB of memory besides the mapped rows")
-        best = {k: max(r["measures"]["recall_at"][0]["of_all"] for r in rows if r["kind"] == k) for k in ("single", "combined")}
-        print(f"Recall@1: {best}")
-        shutil.rmtree(folder / "out")
+    size = sum(f.stat().st_size for f in folder.rglob("*.npy"))
+    print(f"{drives} traverses of {args.ticks} ticks, {size / 2**30:.1f} GiB", flush=True)
+    if args.make:
+        return
+    pairs = itertools.islice(itertools.combinations(range(drives), 2), args.pairs)
+    pair = '[[pair]]\nreference = "drive{}"\nquery = "drive{}"\nground_truth = "positions"\n'
+    (folder / "pairs.toml").write_text("".join(pair.format(*p) for p in pairs))
+    shutil.rmtree(folder / "out", ignore_errors=True)
+    command = [args.evpr, "evaluate", "--quiet", "--pairs", folder / "pairs.toml", "-l", "10,20,30"]
+    command += ["--memory", str(args.memory), "-o", folder / "out"]
+    start, most = time.perf_counter(), 0
+    process = subprocess.Popen(command)
+    while process.poll() is None:
+        most = max(most, anonymous_kib(process.pid))
+        time.sleep(0.05)
+    wall = time.perf_counter() - start
+    if process.returncode:
+        raise SystemExit(process.returncode)
+    rows = json.loads((folder / "out" / "results.json").read_text())["rows"]
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    compared = args.pairs * args.ticks**2 * 16 * sum(EXTRACTORS.values())
+    print(f"{args.pairs} pairs, {len(rows)} configurations: {wall:.1f} s")
+    print(f"processor time: {used.ru_utime:.1f} s, and {used.ru_stime:.1f} s of the system")
+    print(f"{compared / wall / 1e9:.1f} billion values compared per second, everything else included")
+    print(f"at most {most / 2**10:.0f} MiB of memory besides the mapped rows")
+    recalls = lambda kind: [r["measures"]["recall_at"][0]["of_all"] for r in rows if r["kind"] == kind]
+    print(f"Recall@1, mean: single {np.mean(recalls('single')):.3f}, combined {np.mean(recalls('combined')):.3f}")
 
 
 if __name__ == "__main__":

@@ -162,6 +162,33 @@ fn the_configurations_of_a_pair_run() {
     }
     let info = bench.run(&["map", "info", "run/map"]);
     assert!(info.stdout.contains("4 with a position"), "{}", info.stdout);
+    // What is run is that of another configuration, if it is named.
+    bench.file(
+        "mine.toml",
+        "[source]\npath = \"elsewhere.h5\"\n[slicing]\nwindows = [\"500ms\"]\n[[reconstruction]]\nid = \"time_surface\"\n\
+         [[extractor]]\nid = \"hog\"\n[study]\npresets = []\n",
+    );
+    let pair = [
+        "dataset",
+        "config",
+        "data",
+        "--pair",
+        "sunset1:sunset2",
+        "--methods",
+        "mine.toml",
+        "-o",
+        "other",
+    ];
+    let said = bench.run(&pair);
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    let graph = bench.run(&["graph", "-c", "other/query.toml"]);
+    assert!(
+        graph.stdout.contains("time_surface@500ms/hog"),
+        "{}{}",
+        graph.stdout,
+        graph.stderr
+    );
+    assert!(!made("other/query.toml").contains("elsewhere") && made("other/query.toml").contains("first_at"));
 
     // With both lists both are masked.
     bench.file(&format!("data/{SUNSET2}_hot_pixels.txt"), "7,8\n");

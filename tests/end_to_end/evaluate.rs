@@ -348,3 +348,110 @@ fn what_is_chosen_is_run() {
         assert_eq!(bench.left_behind(), Vec::<String>::new());
     }
 }
+
+/// The study of the paper, with `changes` to it.
+fn paper(bench: &Bench, changes: &[(&str, &str)]) -> PathBuf {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/paper.toml");
+    let text = changes
+        .iter()
+        .fold(fs::read_to_string(file).unwrap(), |text, (from, to)| {
+            assert!(text.contains(from), "{from}");
+            text.replace(from, to)
+        });
+    bench.file("paper.toml", &text)
+}
+
+#[test]
+fn the_study_of_the_paper_is_one_file() {
+    let bench = Bench::new();
+    paper(
+        &bench,
+        &[("[slicing]", "[sensor]\nheight = 48\nwidth = 64\n[slicing]")],
+    );
+    let evaluate = ["evaluate", "--pairs", "paper.toml", "-o", "out"];
+    refused(
+        &bench,
+        &evaluate,
+        1,
+        "no pair of the study can be evaluated, as its traverses are missing: brisbane:sunset1",
+    );
+    // A network in the place of all of them: 64 members.
+    fs::create_dir(bench.path("models")).unwrap();
+    let tiny = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/models");
+    let registry = fs::read_to_string(tiny.join("models.toml")).unwrap();
+    let stanzas: Vec<&str> = registry.split("[[model]]").skip(1).collect();
+    let of = |id: &str| {
+        *stanzas
+            .iter()
+            .find(|s| s.contains(&format!("id = \"{id}\"")))
+            .unwrap()
+    };
+    let named =
+        |id: &str, tiny: &str| of(tiny).replace(&format!("id = \"{tiny}\""), &format!("id = \"{id}\""));
+    let mut models = format!("[[model]]{}", named("e2vid", "tiny_e2vid"));
+    for id in ["netvlad", "cosplace", "mixvpr", "megaloc"] {
+        models += &format!("[[model]]{}", named(id, "tiny_extractor"));
+    }
+    bench.file("models/models.toml", &models);
+    let events = bench.recording("events.txt", 3, 1);
+    let graph = succeeds(
+        &bench,
+        &["graph", "--json", "-c", "paper.toml", "-i", text(&events)],
+    );
+    let graph: Value = serde_json::from_str(&graph.stdout).unwrap();
+    assert_eq!(graph["members"].as_array().unwrap().len(), 64);
+    // One pair is there.
+    let [a, b, c, ..] = PATTERNS;
+    bench.file(
+        "frames.toml",
+        "source.kind = \"frames\"\n[slicing]\ntick = \"1s\"\n[[reconstruction]]\nid = \"frames\"\n[[extractor]]\n\
+         id = \"raw_pixels\"\nparams = { height = 4, width = 4 }\n",
+    );
+    fs::create_dir_all(bench.path("traverses/brisbane")).unwrap();
+    for name in ["sunset1", "night"] {
+        let places: Vec<(u16, u32)> = (0..40)
+            .map(|t| ([a, b, c][t as usize % 3].rotate_left(t / 3), 30 * t))
+            .collect();
+        drive(&bench, name, &places);
+        fs::rename(
+            bench.path(&format!("{name}-rows")),
+            bench.path("traverses/brisbane").join(name),
+        )
+        .unwrap();
+    }
+    let said = succeeds(&bench, &evaluate);
+    assert_eq!(said.stderr.matches("left out: ").count(), 9, "{}", said.stderr);
+    assert!(
+        said.stderr
+            .contains("left out: brisbane:sunset1-sunrise (traverses/brisbane/sunrise is not there)")
+    );
+    let rows = table(&bench.path("out/results.csv"));
+    // Two methods, three lengths, one member in five kinds of ensembles.
+    assert_eq!(rows.len(), 2 * 3 * 5);
+    assert!(
+        rows.iter()
+            .all(|r| r["pair"] == "brisbane:sunset1-night" && r["queries"] == "40")
+    );
+    succeeds(
+        &bench,
+        &[&evaluate[..], &["--method", "none", "--subsets", "single"]].concat(),
+    );
+    assert_eq!(table(&bench.path("out/results.csv")).len(), 31);
+    for (from, to, words) in [
+        ("\"nsavp\"", "\"kitti\"", "--preset kitti is neither a preset"),
+        (
+            "tolerance_m = 25.0",
+            "tolerance = 25.0",
+            "[study]: unknown field `tolerance`",
+        ),
+        ("\"seqslam\"", "\"seqslm\"", "--method seqslm: "),
+    ] {
+        paper(&bench, &[(from, to)]);
+        let said = bench.run(&evaluate);
+        assert!(
+            said.code() != 0 && said.errors().len() == 1 && said.stderr.contains(words),
+            "{}",
+            said.stderr
+        );
+    }
+}

@@ -570,7 +570,7 @@ pub(crate) struct PairArgs {
     /// Of a matrix whose shape does not tell
     #[arg(long, value_name = "AXES")]
     pub(crate) orientation: Option<OrientationArg>,
-    /// A list of pairs (TOML) instead
+    /// A list of pairs (TOML) instead, or a study such as config/paper.toml
     #[arg(short, long, value_name = "FILE", conflicts_with = "reference")]
     pub(crate) pairs: Option<PathBuf>,
     /// Only these members, such as event_count@*/hog; all when left out
@@ -599,17 +599,18 @@ pub(crate) struct EvaluateArgs {
     /// An ensemble with a name: NAME=MEMBER,MEMBER; may be repeated
     #[arg(long, value_name = "NAME=MEMBERS")]
     pub(crate) subset: Vec<String>,
-    /// Sequence lengths, ticks
-    #[arg(short, long, value_name = "L", value_delimiter = ',', default_value = "10")]
+    /// Sequence lengths, ticks [default: 10]
+    #[arg(short, long, value_name = "L", value_delimiter = ',')]
     pub(crate) length: Vec<usize>,
     /// Sequence methods, with parameters as in seqslam:window=10:velocities=0.9..1.1 or filter:transition=0.1/0.9
-    #[arg(long, value_name = "METHOD", value_delimiter = ',', default_value = "paper")]
+    /// [default: paper]
+    #[arg(long, value_name = "METHOD", value_delimiter = ',')]
     pub(crate) method: Vec<String>,
     /// Fusion rules, such as trimmed_mean:trim=0.1; sum when left out, but mean with the method filter
     #[arg(long, value_name = "RULE", value_delimiter = ',')]
     pub(crate) rule: Vec<String>,
-    /// Similarities
-    #[arg(long, value_name = "SIMILARITY", value_delimiter = ',', default_value = "l2")]
+    /// Similarities [default: l2]
+    #[arg(long, value_name = "SIMILARITY", value_delimiter = ',')]
     pub(crate) similarity: Vec<String>,
     /// For the confidence: candidates within so many references of the best are no rivals
     #[arg(long, value_name = "N", default_value_t = 5)]
@@ -759,6 +760,9 @@ pub(crate) struct DatasetConfigArgs {
     /// brisbane, nsavp, or a file like those in config/datasets; the one of which a file is there when left out
     #[arg(short, long, value_name = "PRESET")]
     pub(crate) preset: Option<String>,
+    /// A configuration, such as config/paper.toml, whose stages and matching are taken instead of some to begin with
+    #[arg(long, value_name = "FILE")]
+    pub(crate) methods: Option<PathBuf>,
     /// Where to write reference.toml and query.toml (a folder, made if need be)
     #[arg(short, long, value_name = "DIR")]
     pub(crate) out: PathBuf,

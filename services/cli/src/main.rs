@@ -15,6 +15,7 @@ mod output;
 mod preset;
 mod profile;
 mod progress;
+mod study;
 
 use clap::Parser;
 use std::io::IsTerminal;

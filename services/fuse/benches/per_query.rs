@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! cargo bench -p evpr-fuse --bench per_query                     without the largest map
+//! cargo bench -p evpr-fuse --bench per_query -- loop             only what is compared with the loop
 //! EVPR_BENCH_LARGE=1 cargo bench -p evpr-fuse --bench per_query  with it (takes 4 GB of memory)
 //! ```
 //!
@@ -41,7 +42,8 @@ fn main() {
     println!("L = {LENGTH}; ms, the best of all turns; in brackets the ratio to one read of rows and ring");
     println!("sum = l2 + matching + fusing; alike = matching when all places change alike");
     let mut matching_ms = Vec::new();
-    for dim in DIMS {
+    let only_loop = std::env::args().any(|a| a == "loop");
+    for dim in DIMS.into_iter().take(if only_loop { 1 } else { DIMS.len() }) {
         for references in REFERENCES {
             if references * dim > LARGE && !large {
                 println!("R = {references}, D = {dim}: left out; set EVPR_BENCH_LARGE=1 to measure it");
@@ -63,6 +65,40 @@ fn main() {
         }
     }
     compare_with_loop(&matching_ms);
+}
+
+/// Time per row, ms, where members are matched side by side, as `evpr evaluate` does, on so many threads.
+fn side_by_side_ms(references: usize, threads: usize) -> Option<f64> {
+    const ROWS: usize = 24;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .ok()?;
+    let valid = vec![true; references];
+    let row = |n: usize| {
+        (0..references)
+            .map(|j| f64::from(value(n * references + j)))
+            .collect::<Vec<f64>>()
+    };
+    let rows: Vec<Vec<f64>> = (0..LENGTH).map(row).collect();
+    let matcher = || {
+        let mut matcher = SequenceMatcher::new(SequenceMethod::Paper, LENGTH, &valid);
+        rows.iter().for_each(|row| matcher.push(Some(row)));
+        (matcher, vec![0.0; references])
+    };
+    let mut members: Vec<_> = (0..4 * threads).map(|_| matcher()).collect();
+    let mut turn = || {
+        ms(|| {
+            members.par_iter_mut().for_each(|(matcher, scores)| {
+                for n in 0..ROWS {
+                    matcher.push(Some(black_box(&rows[n % LENGTH])));
+                    matcher.score(black_box(scores));
+                }
+            });
+        })
+    };
+    let best = pool.install(|| (0..20).map(|_| turn()).fold(f64::INFINITY, f64::min));
+    Some(best / (4 * threads * ROWS) as f64)
 }
 
 fn print_row(references: usize, dim: usize, threads: usize, best: &[f64; STEPS.len()]) {
@@ -197,10 +233,20 @@ fn compare_with_loop(matching_ms: &[(usize, f64)]) {
             .nth(1)
             .and_then(|ms| ms.parse::<f64>().ok())
         {
-            Some(theirs) => println!(
-                "R = {references:>6}: a np.trace per column takes {theirs:.1} ms, matching {ours:.3} ms on one thread: {:.0} times as fast",
-                theirs / ours
-            ),
+            Some(theirs) => {
+                println!(
+                    "R = {references:>6}: a np.trace per column takes {theirs:.1} ms, matching {ours:.3} ms on one thread: {:.0} times as fast",
+                    theirs / ours
+                );
+                for threads in [1, 2] {
+                    if let Some(ours) = side_by_side_ms(*references, threads) {
+                        println!(
+                            "R = {references:>6}: members side by side, {threads} threads: {ours:.4} ms per row: {:.0} times as fast",
+                            theirs / ours
+                        );
+                    }
+                }
+            }
             None => println!("no loop: cannot read its line: {line}"),
         }
     }

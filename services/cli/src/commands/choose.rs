@@ -1,6 +1,6 @@
 //! `evpr choose`: the members that recognise most for a given time per tick.
 
-use super::evaluate::{Bar, open_pairs};
+use super::evaluate::{Bar, Opened, open_pairs};
 use crate::args::ChooseArgs;
 use crate::catalog;
 use crate::failure::Failure;
@@ -44,7 +44,7 @@ pub(crate) fn choose(args: &ChooseArgs) -> Result<ExitCode, Failure> {
         memory_bytes: args.memory << 20,
     };
     let costs = Costs::read(&args.costs)?;
-    let (pairs, _) = open_pairs(&args.pairs, args.quiet)?;
+    let Opened { pairs, .. } = open_pairs(&args.pairs, args.quiet)?;
     let bar = Bar::new(args.quiet);
     let chosen = search(&pairs, &wanted, &costs, &bar);
     bar.bar.finish_and_clear();

@@ -3,6 +3,7 @@
 use crate::args::EvaluateArgs;
 use crate::failure::Failure;
 use crate::output::say;
+use crate::study::Study;
 use evpr_core::config::{SIMILARITIES, parse_method, parse_rule};
 use evpr_evaluate::statistics::{comparisons, members};
 use evpr_evaluate::{
@@ -20,8 +21,8 @@ const MAX_LINES: usize = 60;
 
 /// `evpr evaluate`.
 pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
-    let (pairs, named) = open_pairs(&args.pairs, args.quiet)?;
-    let spec = spec(args, &named)?;
+    let Opened { pairs, named, study } = open_pairs(&args.pairs, args.quiet)?;
+    let spec = spec(args, &named, study.as_ref())?;
     let inputs: Vec<&Path> = args.pairs.folders();
     crate::output::refuse_input(&args.out, &inputs)?;
     let teacher = args
@@ -125,13 +126,30 @@ fn weigh(
     Ok(results.write_weights(&learnt)?)
 }
 
-/// Opens all pairs that were asked for, and gives subsets that have a name.
-pub(crate) fn open_pairs(
-    args: &crate::args::PairArgs,
-    quiet: bool,
-) -> Result<(Vec<Pair>, Vec<SubsetChoice>), Failure> {
+/// What was asked for.
+pub(crate) struct Opened {
+    pub(crate) pairs: Vec<Pair>,
+    /// Subsets that have a name.
+    named: Vec<SubsetChoice>,
+    /// What else is asked for, where the pairs are those of a study.
+    study: Option<Study>,
+}
+
+/// Opens all pairs that were asked for.
+pub(crate) fn open_pairs(args: &crate::args::PairArgs, quiet: bool) -> Result<Opened, Failure> {
+    let study = args.pairs.as_deref().map(Study::find).transpose()?.flatten();
     let file = match (&args.pairs, &args.reference, &args.query, &args.ground_truth) {
-        (Some(path), ..) => PairsFile::read(path)?,
+        (Some(path), ..) => match &study {
+            None => PairsFile::read(path)?,
+            Some(study) => {
+                let (pairs, missing) = study.pairs()?;
+                missing.iter().for_each(|m| eprintln!("left out: {m}"));
+                PairsFile {
+                    pairs,
+                    ..PairsFile::default()
+                }
+            }
+        },
         (None, Some(reference), Some(query), Some(truth)) => {
             let truth = if truth.as_os_str() == "positions" {
                 Truth::Positions {
@@ -164,15 +182,34 @@ pub(crate) fn open_pairs(
         .subsets
         .into_iter()
         .map(|(name, list)| SubsetChoice::Named(name, list));
-    Ok((pairs, named.collect()))
+    Ok(Opened {
+        pairs,
+        named: named.collect(),
+        study,
+    })
 }
 
-fn spec(args: &EvaluateArgs, named: &[SubsetChoice]) -> Result<Spec, Failure> {
-    let kinds: Vec<SubsetKind> = match args.subsets.as_slice() {
+/// What the command line says, else the study, else this.
+fn words<'a, T>(given: &'a [T], study: Option<&'a Vec<T>>, default: &'a [T]) -> &'a [T] {
+    let of_study = study.map(Vec::as_slice).filter(|words| !words.is_empty());
+    if given.is_empty() {
+        of_study.unwrap_or(default)
+    } else {
+        given
+    }
+}
+
+fn spec(args: &EvaluateArgs, named: &[SubsetChoice], study: Option<&Study>) -> Result<Spec, Failure> {
+    let kinds: Vec<SubsetKind> = match words(&args.subsets, study.map(|s| &s.subsets), &[]) {
         [] => SubsetKind::PAPER.into(),
         [none] if none == "none" => Vec::new(),
         words => words.iter().map(|w| kind(w)).collect::<Result<_, Failure>>()?,
     };
+    let similarities = [String::from("l2")];
+    let similarities = words(&args.similarity, study.map(|s| &s.similarities), &similarities);
+    let methods = [String::from("paper")];
+    let methods = words(&args.method, study.map(|s| &s.methods), &methods);
+    let rules = words(&args.rule, study.map(|s| &s.rules), &[]);
     let mut subsets: Vec<SubsetChoice> = kinds.into_iter().map(SubsetChoice::Kind).collect();
     subsets.extend(named.iter().cloned());
     for text in &args.subset {
@@ -186,10 +223,10 @@ fn spec(args: &EvaluateArgs, named: &[SubsetChoice]) -> Result<Spec, Failure> {
     }
     let spec = Spec {
         subsets,
-        similarities: all(&args.similarity, |w| SIMILARITIES.parse(w), "--similarity")?,
-        methods: all(&args.method, parse_method, "--method")?,
-        lengths: args.length.clone(),
-        rules: all(&args.rule, parse_rule, "--rule")?,
+        similarities: all(similarities, |w| SIMILARITIES.parse(w), "--similarity")?,
+        methods: all(methods, parse_method, "--method")?,
+        lengths: words(&args.length, study.map(|s| &s.lengths), &[10]).to_vec(),
+        rules: all(rules, parse_rule, "--rule")?,
         exclusion: args.exclusion,
         weights: None,
         memory_bytes: args.memory << 20,

@@ -14,6 +14,8 @@ use std::ops::Range;
 const FLAT: f64 = 1e-4;
 /// Columns per block: with L = 30 the block takes 30 KiB.
 const BLOCK: usize = 128;
+/// Columns whose sums are taken together.
+const TILE: usize = 16;
 /// Sums under way at a time: one alone would wait for each addition to end before the next.
 const LANES: usize = 16;
 /// Largest |mean|/σ of a row at which its variance may be taken from the sums of z and z²: 4 of 16 digits are lost
@@ -140,21 +142,20 @@ struct Block<'a> {
 impl Kernel for Block<'_> {
     #[inline(always)]
     fn run(self) {
-        let n = self.window.len() as f64;
         let rows = || self.window.rows().map(|row| &row[self.columns.clone()]);
-        self.mean.fill(0.0);
-        for row in rows() {
-            add(self.mean, row);
+        for start in (0..self.mean.len()).step_by(TILE) {
+            let end = (start + TILE).min(self.mean.len());
+            let sigma = &mut self.scale[start..end];
+            statistics(
+                rows().map(|row| &row[start..end]),
+                &mut self.mean[start..end],
+                sigma,
+            );
         }
-        self.mean.iter_mut().for_each(|m| *m /= n);
-        self.scale.fill(0.0);
-        for row in rows() {
-            add_squares(self.scale, row, self.mean);
-        }
-        for (v, inverse) in self.scale.iter_mut().zip(&mut *self.inverse) {
-            let sigma = (*v / n).sqrt() + EPSILON;
-            *v = if sigma < FLAT { 1.0 } else { sigma };
-            *inverse = 1.0 / *v;
+        for (scale, inverse) in self.scale.iter_mut().zip(&mut *self.inverse) {
+            let sigma = *scale + EPSILON;
+            *scale = if sigma < FLAT { 1.0 } else { sigma };
+            *inverse = 1.0 / *scale;
         }
         for (moments, row) in self.moments.iter_mut().zip(rows()) {
             *moments = moments_of(row, self.mean, self.inverse);
@@ -162,19 +163,37 @@ impl Kernel for Block<'_> {
     }
 }
 
-/// sums += x. (The loops are functions of their own because the compiler knows of arguments that they do not overlap.)
+/// Mean and population standard deviation of up to [`TILE`] columns. The sums of a whole tile stay in registers.
 #[inline(always)]
-fn add(sums: &mut [f64], x: &[f64]) {
-    for (sum, x) in sums.iter_mut().zip(x) {
-        *sum += x;
+fn statistics<'a>(rows: impl Iterator<Item = &'a [f64]> + Clone, mean: &mut [f64], sigma: &mut [f64]) {
+    let n = rows.clone().count() as f64;
+    if let (Ok(mean), Ok(sigma)) = (
+        <&mut [f64; TILE]>::try_from(&mut *mean),
+        <&mut [f64; TILE]>::try_from(&mut *sigma),
+    ) {
+        let rows = rows.filter_map(|row| <&[f64; TILE]>::try_from(row).ok());
+        let mut sums = [0.0; TILE];
+        for x in rows.clone() {
+            for k in 0..TILE {
+                sums[k] += x[k];
+            }
+        }
+        *mean = sums.map(|sum| sum / n);
+        let mut squares = [0.0; TILE];
+        for x in rows {
+            for k in 0..TILE {
+                squares[k] += (x[k] - mean[k]) * (x[k] - mean[k]);
+            }
+        }
+        *sigma = squares.map(|sum| (sum / n).sqrt());
+        return;
     }
-}
-
-/// sums += (x − mean)².
-#[inline(always)]
-fn add_squares(sums: &mut [f64], x: &[f64], mean: &[f64]) {
-    for ((sum, x), m) in sums.iter_mut().zip(x).zip(mean) {
-        *sum += (x - m) * (x - m);
+    for (k, (mean, sigma)) in mean.iter_mut().zip(sigma).enumerate() {
+        *mean = rows.clone().fold(0.0, |sum, x| sum + x[k]) / n;
+        let squares = rows
+            .clone()
+            .fold(0.0, |sum, x| sum + (x[k] - *mean) * (x[k] - *mean));
+        *sigma = (squares / n).sqrt();
     }
 }
 

@@ -62,7 +62,7 @@ impl<'a> Window<'a> {
 
     /// The rows, oldest first.
     #[inline(always)]
-    fn rows(self) -> impl Iterator<Item = &'a [f64]> {
+    fn rows(self) -> impl Iterator<Item = &'a [f64]> + Clone {
         let row = move |(slot, _): &(usize, usize)| &self.ring[slot * self.columns..][..self.columns];
         self.ticks.iter().map(row)
     }

@@ -167,6 +167,8 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
     let governor = governor::governor(root.section("governor"), members.as_deref());
     let (of_frames, of_rows) = (reconstructions.known_ids(), extractors.known_ids());
     let placements = placement::placements(&root, of_frames.as_deref(), of_rows.as_deref());
+    // What `evpr evaluate` does with a configuration's members: not of the graph, and read there.
+    let _ = root.section("study");
     root.close();
     let positions = positions?;
     Some(Config {

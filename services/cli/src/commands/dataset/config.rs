@@ -2,7 +2,7 @@
 
 use super::files::{Drive, File};
 use crate::args::DatasetConfigArgs;
-use crate::catalog::CATALOG;
+use crate::catalog::{self, CATALOG};
 use crate::failure::Failure;
 use crate::output::say;
 use crate::preset::{Preset, Role, Sequence};
@@ -14,7 +14,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::process::ExitCode;
 
-/// What is run, to be changed at will.
+/// What is run unless it is said, to be changed at will.
 const METHODS: &str = r#"
 # How places are compared: change it alike in the files of reference and query.
 [slicing]
@@ -36,6 +36,29 @@ id = "patch_norm"
 [fuse]
 sequence = { method = "paper", length = 10 }
 "#;
+
+/// The sections of a configuration that say what is run, whatever it is run on.
+const SECTIONS: [&str; 8] = [
+    "slicing",
+    "reconstruction",
+    "extractor",
+    "ensemble",
+    "fuse",
+    "inference",
+    "record",
+    "runtime",
+];
+
+/// What is run, of a configuration.
+fn methods_of(path: &Path) -> Result<String, Failure> {
+    catalog::load(path)?;
+    let wrong = |what: String| Failure::new(format!("{}: {what}", path.display()));
+    let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
+    let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| wrong(e.to_string()))?;
+    table.retain(|section, _| SECTIONS.contains(&section));
+    let text = toml::to_string(&table).map_err(|e| wrong(e.to_string()))?;
+    Ok(format!("\n# Of {}.\n{text}", path.display()))
+}
 
 /// `evpr dataset config`.
 pub(super) fn config(args: &DatasetConfigArgs) -> Result<ExitCode, Failure> {
@@ -69,10 +92,12 @@ pub(super) fn config(args: &DatasetConfigArgs) -> Result<ExitCode, Failure> {
         .filter(|(_, (_, drive))| drive.file(Role::HotPixels).is_none())
         .map(|(_, (sequence, _))| sequence.name.as_str())
         .collect();
+    let methods = args.methods.as_deref().map(methods_of).transpose()?;
     let mut texts = Vec::new();
     for (file, (sequence, drive)) in &sequences {
         let text = text(preset, sequence, &drive.files, unmasked.is_empty());
-        texts.push((file, text.map_err(Failure::new)?));
+        let methods = methods.as_deref().unwrap_or(METHODS);
+        texts.push((file, text.map_err(Failure::new)? + methods));
     }
     std::fs::create_dir_all(&args.out)
         .map_err(|e| Failure::new(format!("{}: cannot be made: {e}", args.out.display())))?;
@@ -129,14 +154,14 @@ fn create(path: &Path, text: &str) -> Result<(), Failure> {
 /// # Errors
 /// What the configuration refuses of the preset, in one line.
 pub(super) fn parse(preset: &Preset, sequence: &Sequence, files: &[File]) -> Result<Source, String> {
-    let text = text(preset, sequence, files, false)?;
+    let text = text(preset, sequence, files, false)? + METHODS;
     let config = config::parse(&text, &sequence.name, &CATALOG)
         .map_err(|e| e.to_string().lines().next().unwrap_or_default().to_owned())?;
     let source = config.source(&Overrides::default());
     source.ok_or_else(|| format!("sequence {}: names no recording", sequence.name))
 }
 
-/// The configuration of a sequence with these files, and with its hot pixels masked if they shall be.
+/// The configuration of a sequence with these files but for what is run, and with its hot pixels masked if they shall be.
 fn text(preset: &Preset, sequence: &Sequence, files: &[File], masked: bool) -> Result<String, String> {
     let path = |role: Role| {
         let file = files.iter().find(|file| file.role == role);
@@ -187,7 +212,6 @@ fn text(preset: &Preset, sequence: &Sequence, files: &[File], masked: bool) -> R
     if let Some(crop) = crop {
         line(format!("crop = {}", quoted(crop)));
     }
-    text.push_str(METHODS);
     Ok(text)
 }
 

@@ -1,0 +1,86 @@
+//! A study: what is evaluated of the pairs of datasets, `[study]` in config/paper.toml.
+
+use crate::failure::Failure;
+use crate::preset;
+use evpr_evaluate::{PairSpec, Truth};
+use serde::Deserialize;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// No study is larger, bytes.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// The section; its words are those of the command line.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Study {
+    presets: Vec<String>,
+    traverses: PathBuf,
+    tolerance_m: f64,
+    #[serde(default)]
+    pub(crate) methods: Vec<String>,
+    #[serde(default)]
+    pub(crate) lengths: Vec<usize>,
+    #[serde(default)]
+    pub(crate) similarities: Vec<String>,
+    #[serde(default)]
+    pub(crate) rules: Vec<String>,
+    #[serde(default)]
+    pub(crate) subsets: Vec<String>,
+}
+
+impl Study {
+    /// The study in this file; `None` where it has none.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is not as it must be.
+    pub(crate) fn find(path: &Path) -> Result<Option<Self>, Failure> {
+        let wrong = |what: String| Failure::new(format!("{}: {what}", path.display()));
+        let file = std::fs::File::open(path).map_err(|e| wrong(format!("cannot open: {e}")))?;
+        let mut text = String::new();
+        let read = file.take(MAX_BYTES).read_to_string(&mut text);
+        read.map_err(|e| wrong(format!("cannot read: {e}")))?;
+        // Who reads the rest of the file says what is wrong with it.
+        let Ok(mut table) = text.parse::<toml::Table>() else {
+            return Ok(None);
+        };
+        let study = table.remove("study").map(toml::Value::try_into).transpose();
+        study.map_err(|e: toml::de::Error| wrong(format!("[study]: {}", e.message().replace('\n', " "))))
+    }
+
+    /// The pairs of which both traverses are there, and those of which one is not, with what is missing.
+    ///
+    /// # Errors
+    /// When a preset is not known, or no pair is there.
+    pub(crate) fn pairs(&self) -> Result<(Vec<PairSpec>, Vec<String>), Failure> {
+        let (mut pairs, mut missing) = (Vec::new(), Vec::new());
+        for name in &self.presets {
+            let preset = preset::find(name)?;
+            for [reference, query] in &preset.pairs {
+                let folder = |sequence: &String| self.traverses.join(&preset.name).join(sequence);
+                let (map, drive) = (folder(reference), folder(query));
+                let name = format!("{}:{reference}-{query}", preset.name);
+                let absent = [&map, &drive].into_iter().find(|path| !path.exists());
+                if let Some(path) = absent {
+                    missing.push(format!("{name} ({} is not there)", path.display()));
+                    continue;
+                }
+                pairs.push(PairSpec {
+                    name,
+                    reference: map,
+                    query: drive,
+                    truth: Truth::Positions {
+                        tolerance_m: self.tolerance_m,
+                    },
+                });
+            }
+        }
+        if pairs.is_empty() {
+            return Err(Failure::new(format!(
+                "no pair of the study can be evaluated, as its traverses are missing: {}; make them with evpr map build",
+                missing.join(", ")
+            )));
+        }
+        Ok((pairs, missing))
+    }
+}
