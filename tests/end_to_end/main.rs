@@ -23,5 +23,6 @@ mod permissions;
 mod placement;
 mod profile;
 mod replay;
+mod report;
 mod steering;
 mod support;

@@ -27,8 +27,8 @@ impl Args {
         match &self.command {
             Command::Run(args) => args.graph.quiet,
             Command::Map(MapCommand::Build(args)) => args.graph.quiet,
-            // It says itself what it does.
-            Command::Demo(_) => true,
+            // They say themselves what they do.
+            Command::Demo(_) | Command::Evaluate(_) => true,
             _ => false,
         }
     }
@@ -628,6 +628,12 @@ pub(crate) struct EvaluateArgs {
     /// Also find how alike members are in what they see and get wrong, with the first method and length (members.json)
     #[arg(long)]
     pub(crate) likeness: bool,
+    /// For the report: what stages take, as `evpr choose` takes it: a TOML file, or the statistics of a run or of the demo
+    #[arg(long, value_name = "FILE")]
+    pub(crate) costs: Option<PathBuf>,
+    /// For the report: the configuration that the traverses were recorded with, to show frames of queries
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) config: Option<PathBuf>,
     /// Memory for scores and sequences, MiB, besides the mapped rows
     #[arg(long, value_name = "MIB", default_value_t = 2048, value_parser = clap::value_parser!(u64).range(16..1 << 24))]
     pub(crate) memory: u64,

@@ -7,6 +7,7 @@ use evpr_core::stage::{IngestPort, Outlet, Settings, Stage, StageError};
 use evpr_ingest::Ingest;
 use evpr_reconstruct::Reconstruct;
 use evpr_runtime::{Progress, Stop};
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// What came of a chain.
@@ -18,17 +19,19 @@ pub(crate) struct Chained {
     pub(crate) outcome: Result<(), StageError>,
 }
 
-/// Sends the plan's source through all its reconstructions into `out`, until it ends, `out` stops it, or `stop` is set.
+/// Sends the plan's source through these of its reconstructions into `out`, until it ends, `out` stops it, or `stop` is
+/// set.
 ///
 /// # Errors
 /// When the source cannot be opened, or the plan not be used.
 pub(crate) fn run(
     plan: &Plan,
+    which: Range<usize>,
     out: &mut dyn Outlet<Frames>,
     stop: &AtomicBool,
     progress: &mut dyn FnMut(&Progress),
 ) -> Result<Chained, Failure> {
-    let stages = (0..plan.reconstructions.len()).map(|index| evpr_reconstruct::build(plan, index));
+    let stages = which.map(|index| evpr_reconstruct::build(plan, index));
     let raised = Stop::new();
     let ingest = Ingest::new(plan, 0, 1, raised.signal().clone())?;
     let mut chain = Chain {

@@ -3,18 +3,22 @@
 #![warn(clippy::print_stdout)] // results go through `output`, which survives a reader that hangs up
 
 mod args;
+mod canvas;
 mod catalog;
 mod chain;
 mod colors;
 mod commands;
 mod demo;
 mod failure;
+mod figure;
 mod frames_npy;
 mod matches;
 mod output;
 mod preset;
 mod profile;
 mod progress;
+mod query_frames;
+mod seen;
 mod study;
 
 use clap::Parser;

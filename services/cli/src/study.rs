@@ -84,3 +84,36 @@ impl Study {
         Ok((pairs, missing))
     }
 }
+
+/// The name of a pair of a study, and whether it is of day and night, as the paper tells pairs apart.
+pub(crate) fn condition(pair: &PairSpec) -> Option<(String, String)> {
+    let (preset, sequences) = pair.name.split_once(':')?;
+    // `night` of Brisbane-Event-VPR; FN0 and RN0 of NSAVP.
+    let is_night = |sequence: &str| sequence == "night" || sequence.contains('N');
+    let when = if sequences.split('-').any(is_night) {
+        "night"
+    } else {
+        "day"
+    };
+    Some((pair.name.clone(), format!("{preset}, day–{when}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pairs_are_told_apart_as_in_the_paper() {
+        for (name, wanted) in [
+            ("brisbane:sunset1-night", "brisbane, day–night"),
+            ("brisbane:sunset1-morning", "brisbane, day–day"),
+            ("nsavp:FA0-FS0", "nsavp, day–day"),
+            ("nsavp:FN0-FS0", "nsavp, day–night"),
+        ] {
+            let truth = Truth::Positions { tolerance_m: 25.0 };
+            let mut pair = PairSpec::new("map".into(), "drive".into(), truth);
+            name.clone_into(&mut pair.name);
+            assert_eq!(condition(&pair), Some((name.to_owned(), wanted.to_owned())));
+        }
+    }
+}

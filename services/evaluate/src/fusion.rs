@@ -91,6 +91,11 @@ impl Fusion {
         }
     }
 
+    /// The fused scores of the last tick.
+    pub(crate) fn fused(&self) -> &[f64] {
+        self.ensemble.fused()
+    }
+
     /// Answers the next tick. `scored` gives what a member has, `right` are the right places.
     pub(crate) fn advance<'a>(&mut self, scored: impl Fn(usize) -> Scored<'a>, right: &[u32]) {
         let there = |(member, weight): &(usize, f64)| {

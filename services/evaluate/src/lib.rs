@@ -15,7 +15,7 @@ mod measure;
 mod outcome;
 mod pair;
 mod pair_spec;
-mod report;
+pub mod report;
 mod results;
 mod spec;
 pub mod statistics;

@@ -14,6 +14,8 @@ pub const TOLERANCES_M: [f64; 14] = [
 ];
 /// Ticks of the map next to a right place within which an answer counts as right in "recall by frames".
 pub const FRAMES: [usize; 8] = [0, 1, 2, 3, 5, 10, 15, 20];
+/// How far in time an answer may be off in LENS's protocol, µs.
+const LENS_US: u64 = 3_000_000;
 /// Most points of a precision–recall curve that are kept.
 const MAX_POINTS: usize = 101;
 
@@ -86,6 +88,10 @@ pub struct Measures {
     /// Recall@1 within each of [`TOLERANCES_M`]; empty where positions are not known. Of the queries with a known position,
     /// and of those that have a place so near.
     pub by_tolerance_m: Vec<Share>,
+    /// Recall@1 with places that the map passes within 3 s of the true one counted as right: of the place nearest to the
+    /// query where positions are known, else of a right one (LENS's protocol). `None` in results of earlier versions.
+    #[serde(default)]
+    pub within_3s: Option<Share>,
     /// Recall@1 with places up to each of [`FRAMES`] ticks next to a right one counted as right too.
     pub by_frames: Vec<Share>,
 }
@@ -107,6 +113,8 @@ pub fn measure(pair: &Pair, outcomes: &[Outcome], length: usize) -> Measures {
         let near = frames.iter().flatten().filter(|off| **off <= limit).count();
         Share::new(near, queries, matchable)
     });
+    let near = |(query, outcome): &(usize, &Outcome)| is_within_3s(pair, *query, outcome.answer);
+    let within_3s = outcomes.iter().enumerate().filter(near).count();
     let known: Vec<f64> = distances.iter().copied().flatten().collect();
     Measures {
         queries,
@@ -134,6 +142,7 @@ pub fn measure(pair: &Pair, outcomes: &[Outcome], length: usize) -> Measures {
             Some(end.saturating_sub(start) as f64 / 1e6)
         }),
         by_tolerance_m: by_tolerance(pair, &distances),
+        within_3s: Some(Share::new(within_3s, queries, matchable)),
         by_frames: by_frames.into(),
     }
 }
@@ -190,7 +199,7 @@ pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
 }
 
 /// Per query how far the answered place is, where both positions are known.
-fn distances_m(pair: &Pair, outcomes: &[Outcome]) -> Vec<Option<f64>> {
+pub(crate) fn distances_m(pair: &Pair, outcomes: &[Outcome]) -> Vec<Option<f64>> {
     let distance = |(outcome, query): (&Outcome, &Option<[f64; 2]>)| {
         let query = (*query)?;
         let place = (*pair.reference_positions.get(outcome.answer? as usize)?)?;
@@ -200,7 +209,7 @@ fn distances_m(pair: &Pair, outcomes: &[Outcome]) -> Vec<Option<f64>> {
 }
 
 /// Per query how many ticks of the map lie between the answer and the nearest right place.
-fn frames_off(pair: &Pair, outcomes: &[Outcome]) -> Vec<Option<usize>> {
+pub(crate) fn frames_off(pair: &Pair, outcomes: &[Outcome]) -> Vec<Option<usize>> {
     let off = |(query, outcome): (usize, &Outcome)| {
         let (answer, right) = (outcome.answer?, pair.truth.matches(query));
         let after = right.partition_point(|r| *r < answer);
@@ -212,6 +221,26 @@ fn frames_off(pair: &Pair, outcomes: &[Outcome]) -> Vec<Option<usize>> {
         next.into_iter().chain(before).min().map(|f| f as usize)
     };
     outcomes.iter().enumerate().map(off).collect()
+}
+
+/// Whether the map passes the answered place within 3 s of the true one; never where no place is right.
+fn is_within_3s(pair: &Pair, query: usize, answer: Option<u32>) -> bool {
+    let start = |place: u32| pair.reference_starts_us.get(place as usize).copied();
+    let right = pair.truth.matches(query);
+    let Some(at) = answer.and_then(start).filter(|_| !right.is_empty()) else {
+        return false;
+    };
+    let near = |place: &u32| start(*place).is_some_and(|s| s.abs_diff(at) <= LENS_US);
+    let distance = |place: &u32| {
+        let position = pair.reference_positions.get(*place as usize).copied().flatten()?;
+        let query = pair.query_positions.get(query).copied().flatten()?;
+        Some((*place, (query[0] - position[0]).hypot(query[1] - position[1])))
+    };
+    let known = right.iter().filter_map(distance);
+    match known.min_by(|a, b| a.1.total_cmp(&b.1)) {
+        Some((nearest, _)) => near(&nearest),
+        None => right.iter().any(near),
+    }
 }
 
 fn by_tolerance(pair: &Pair, distances: &[Option<f64>]) -> Vec<Share> {

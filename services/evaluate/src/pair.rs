@@ -2,7 +2,7 @@
 
 use crate::error::EvaluateError;
 use crate::pair_spec::{PairSpec, Truth};
-use evpr_core::plan::SequenceMethod;
+use evpr_core::plan::{SequenceMethod, Slicing};
 use evpr_store::{GroundTruth, Manifest, MemberRows, Traverse};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -28,6 +28,12 @@ pub struct Pair {
     pub(crate) reference_positions: Vec<Option<[f64; 2]>>,
     /// How far the nearest place is from each query, metres, where that is known.
     pub(crate) nearest_m: Vec<Option<f64>>,
+    /// Start of each tick of the map, µs.
+    pub(crate) reference_starts_us: Vec<u64>,
+    pub(crate) slicing: Slicing,
+    /// What the reference and the query were recorded from.
+    sources: [String; 2],
+    condition: Option<String>,
     /// What decides whether two results are of the same pair.
     pub(crate) identity: BTreeMap<String, String>,
 }
@@ -100,6 +106,13 @@ impl Pair {
             truth,
             nearest_m: nearest_m(&query_positions, &reference_positions),
             times_us: query.ticks().iter().map(|t| (t.start_us, t.end_us)).collect(),
+            reference_starts_us: reference.ticks().iter().map(|t| t.start_us).collect(),
+            slicing: query.manifest().slicing.clone(),
+            sources: [
+                reference.manifest().source.clone(),
+                query.manifest().source.clone(),
+            ],
+            condition: None,
             query_positions,
             reference_positions,
         })
@@ -113,6 +126,26 @@ impl Pair {
     /// Its members, in the map's order.
     pub fn members(&self) -> &[String] {
         &self.members
+    }
+
+    /// Says what sort of pair it is, such as `day-night`; reports tell conditions apart.
+    pub fn with_condition(self, condition: Option<String>) -> Self {
+        Self { condition, ..self }
+    }
+
+    /// What sort of pair it is, where that was said.
+    pub fn condition(&self) -> Option<&str> {
+        self.condition.as_deref()
+    }
+
+    /// What the reference and the query were recorded from, as their traverses say it.
+    pub fn sources(&self) -> [&str; 2] {
+        self.sources.each_ref().map(String::as_str)
+    }
+
+    /// How its recordings were cut into ticks.
+    pub fn slicing(&self) -> &Slicing {
+        &self.slicing
     }
 
     /// Which places are right.

@@ -52,6 +52,7 @@ pub struct PairSpec {
 /// tolerance_m = 25.0              # with positions
 /// # tolerance_frames = 2          # with a file
 /// # orientation = "query_reference"
+/// condition = "day-night"         # default: none; reports tell conditions apart
 ///
 /// [subsets]
 /// fast = ["event_count@250ms/*"]
@@ -62,6 +63,8 @@ pub struct PairsFile {
     pub pairs: Vec<PairSpec>,
     /// Subsets with names.
     pub subsets: BTreeMap<String, Vec<String>>,
+    /// What sort of pair each is, by name, where that is said.
+    pub conditions: BTreeMap<String, String>,
 }
 
 #[derive(Deserialize)]
@@ -83,6 +86,7 @@ struct PairText {
     tolerance_m: Option<f64>,
     tolerance_frames: Option<usize>,
     orientation: Option<String>,
+    condition: Option<String>,
 }
 
 /// The name of a pair that has none.
@@ -125,6 +129,7 @@ impl PairsFile {
             toml::from_str(&text).map_err(|e| bad(e.to_string().trim().replace('\n', " ")))?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut pairs: Vec<PairSpec> = Vec::new();
+        let mut conditions = BTreeMap::new();
         for p in parsed.pair {
             let (reference, query) = (folder.join(&p.reference), folder.join(&p.query));
             let name = p.name.unwrap_or_else(|| default_name(&reference, &query));
@@ -161,6 +166,12 @@ impl PairsFile {
             if pairs.iter().any(|other| other.name == name) {
                 return Err(in_pair("another pair has this name; give each its own"));
             }
+            if let Some(condition) = p.condition {
+                if condition.trim().is_empty() || condition.chars().any(char::is_control) {
+                    return Err(in_pair("a condition is a few words, such as day-night"));
+                }
+                conditions.insert(name.clone(), condition);
+            }
             pairs.push(PairSpec {
                 name,
                 reference,
@@ -174,6 +185,7 @@ impl PairsFile {
         Ok(Self {
             pairs,
             subsets: parsed.subsets,
+            conditions,
         })
     }
 }

@@ -334,6 +334,7 @@ fn csv(rows: &[Row]) -> String {
     FRAMES
         .iter()
         .for_each(|f| both(&mut out, &format!("recall_within_{f}_frames")));
+    both(&mut out, "recall_within_3s");
     out.push('\n');
     for row in rows {
         csv_line(&mut out, row);
@@ -388,6 +389,7 @@ fn csv_line(out: &mut String, row: &Row) {
     );
     (0..TOLERANCES_M.len()).for_each(|i| both(out, m.by_tolerance_m.get(i)));
     (0..FRAMES.len()).for_each(|i| both(out, m.by_frames.get(i)));
+    both(out, m.within_3s.as_ref());
     out.push('\n');
 }
 

@@ -1,11 +1,16 @@
 //! `evpr evaluate`: recall of recorded traverses, over subsets, methods, lengths and rules at once.
 
 use crate::args::EvaluateArgs;
+use crate::catalog;
 use crate::failure::Failure;
+use crate::figure;
 use crate::output::say;
+use crate::query_frames::show_frames;
 use crate::study::Study;
 use evpr_core::config::{SIMILARITIES, parse_method, parse_rule};
-use evpr_evaluate::statistics::{comparisons, members};
+use evpr_evaluate::choose::Costs;
+use evpr_evaluate::report::{Picture, Report, check_costs, looks};
+use evpr_evaluate::statistics::{Members, comparisons, members};
 use evpr_evaluate::{
     LearntWeights, Pair, PairSpec, PairsFile, Progress, Results, Row, Spec, SubsetChoice, SubsetKind, Truth,
     evaluate as run, learnt_weights, read_weights,
@@ -16,6 +21,8 @@ use std::io::IsTerminal;
 use std::path::Path;
 use std::process::ExitCode;
 
+/// Where the report's figures lie in its folder.
+const FIGURES: &str = "figures";
 /// Most lines of the table.
 const MAX_LINES: usize = 60;
 
@@ -32,6 +39,14 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
         .transpose()?;
     let given = args.weights.as_deref();
     let given = given.map(|path| read_weights(path, &pairs)).transpose()?;
+    // What else is read is read first: a mistake in it must not cost the time of an evaluation.
+    let costs = args.costs.as_deref().map(Costs::read).transpose()?;
+    if let Some(costs) = &costs {
+        check_costs(&pairs, costs)?;
+    }
+    if let Some(config) = &args.config {
+        catalog::load(config)?;
+    }
     let mut results = Results::open(&args.out, &pairs)?;
     let before = results.rows().len();
     let progress = Bar::new(args.quiet);
@@ -54,14 +69,33 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
     evaluated?;
     let compared = comparisons(results.rows());
     results.write_statistics(&compared)?;
-    results.write_report(&compared)?;
     if let Some(wanted) = args.wanted_precision {
         results.write_thresholds(wanted)?;
     }
+    let alike: Vec<Members> = if args.likeness {
+        let alike: Result<_, _> = pairs.iter().map(|pair| members(pair, &spec)).collect();
+        alike?
+    } else {
+        Vec::new()
+    };
     if args.likeness {
-        let alike: Result<Vec<_>, _> = pairs.iter().map(|pair| members(pair, &spec)).collect();
-        results.write_members(&alike?)?;
+        results.write_members(&alike)?;
     }
+    let mut looked = looks(&pairs, results.rows(), &spec)?;
+    if let Some(config) = &args.config {
+        for look in &mut looked {
+            show_frames(look, &pairs, config);
+        }
+    }
+    let figures = results.write_report(&Report {
+        pairs: &pairs,
+        spec: &spec,
+        looks: &looked,
+        comparisons: &compared,
+        members: &alike,
+        costs: costs.as_ref(),
+    })?;
+    draw(&args.out.join(FIGURES), &figures)?;
     if args.json {
         say!("{}", serde_json::to_string_pretty(results.rows())?);
     } else if !args.quiet {
@@ -74,6 +108,15 @@ pub(crate) fn evaluate(args: &EvaluateArgs) -> Result<ExitCode, Failure> {
         );
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Draws all figures into a folder.
+fn draw(folder: &Path, figures: &[Picture]) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder)
+        .map_err(|e| Failure::new(format!("{}: cannot be made: {e}", folder.display())))?;
+    figures
+        .par_iter()
+        .try_for_each(|picture| figure::draw(&folder.join(&picture.name).with_extension("png"), picture))
 }
 
 /// The pair of this name.
@@ -145,6 +188,7 @@ pub(crate) fn open_pairs(args: &crate::args::PairArgs, quiet: bool) -> Result<Op
                 let (pairs, missing) = study.pairs()?;
                 missing.iter().for_each(|m| eprintln!("left out: {m}"));
                 PairsFile {
+                    conditions: pairs.iter().filter_map(crate::study::condition).collect(),
                     pairs,
                     ..PairsFile::default()
                 }
@@ -178,6 +222,12 @@ pub(crate) fn open_pairs(args: &crate::args::PairArgs, quiet: bool) -> Result<Op
     }
     let open = |pair: &PairSpec| Pair::open(pair, &args.members);
     let pairs: Vec<Pair> = file.pairs.par_iter().map(open).collect::<Result<_, _>>()?;
+    let conditions = &file.conditions;
+    let with_condition = |pair: Pair| {
+        let condition = conditions.get(pair.name()).cloned();
+        pair.with_condition(condition)
+    };
+    let pairs = pairs.into_iter().map(with_condition).collect();
     let named = file
         .subsets
         .into_iter()

@@ -2,21 +2,10 @@
 //! reconstructions themselves.
 
 use super::recall::Positions;
-use crate::chain;
 use crate::failure::Failure;
+use crate::seen::{Frame, frames_of};
 use evpr_core::Plan;
-use evpr_core::message::{ChannelOrder, FrameHeader, Frames};
 use evpr_core::plan::{Sensor, StreetPass};
-use evpr_core::stage::{Outlet, StageError};
-use std::sync::atomic::AtomicBool;
-
-/// A frame.
-#[derive(Debug, Clone)]
-pub(crate) struct Frame {
-    pub(crate) order: ChannelOrder,
-    /// `height × width × channels`, row-major, channels interleaved.
-    pub(crate) pixels: Vec<u8>,
-}
 
 /// What all methods see of one place on several drives.
 #[derive(Debug)]
@@ -61,7 +50,11 @@ pub(crate) fn look(mapping: &Plan, queries: &[(StreetPass, &Plan, &Positions)]) 
         // Threads of their own: the simulation needs rayon's, which must not wait for it.
         let start = |(_, plan, tick): &(StreetPass, &Plan, usize)| {
             let (plan, tick) = ((*plan).clone(), *tick as u64);
-            scope.spawn(move || at(&plan, tick, window))
+            scope.spawn(move || {
+                let all = 0..plan.reconstructions.len();
+                let mut frames = frames_of(&plan, all, &[tick], window)?;
+                Ok(frames.pop().unwrap_or_default())
+            })
         };
         let threads: Vec<_> = drives.iter().map(start).collect();
         let joined = threads.into_iter().map(std::thread::ScopedJoinHandle::join);
@@ -118,61 +111,6 @@ fn common_place(drives: &[&Positions]) -> Option<CommonPlace> {
         reference,
         queries,
     })
-}
-
-/// The frames of one tick.
-struct Collect {
-    tick: u64,
-    window: u32,
-    /// Per reconstruction: not there yet, or what came of the window (`None`: it had no events).
-    found: Vec<Option<Option<Frame>>>,
-}
-
-impl Collect {
-    fn complete(&self) -> bool {
-        self.found.iter().all(Option::is_some)
-    }
-}
-
-impl Outlet<Frames> for Collect {
-    fn emit(
-        &mut self,
-        header: FrameHeader,
-        len: usize,
-        fill: &mut dyn FnMut(&mut [u8]),
-    ) -> Result<(), StageError> {
-        if header.tick != self.tick || header.window != self.window {
-            return Ok(());
-        }
-        let Some(found) = self.found.get_mut(header.reconstruction as usize) else {
-            return Ok(());
-        };
-        let order = ChannelOrder::from_code(header.channel_order).filter(|_| header.reason == 0);
-        *found = Some(order.map(|order| {
-            let mut pixels = vec![0; len];
-            fill(&mut pixels);
-            Frame { order, pixels }
-        }));
-        if self.complete() {
-            return Err(StageError::Stopped);
-        }
-        Ok(())
-    }
-}
-
-/// The frames of this window and tick of the plan's source, one per reconstruction of the plan; `None` where the window
-/// had no events or the source ends before.
-///
-/// # Errors
-/// When the source cannot be read.
-fn at(plan: &Plan, tick: u64, window: usize) -> Result<Vec<Option<Frame>>, Failure> {
-    let mut collect = Collect {
-        tick,
-        window: window as u32,
-        found: vec![None; plan.reconstructions.len()],
-    };
-    chain::run(plan, &mut collect, &AtomicBool::new(false), &mut |_| {})?.outcome?;
-    Ok(collect.found.into_iter().map(Option::flatten).collect())
 }
 
 #[cfg(test)]

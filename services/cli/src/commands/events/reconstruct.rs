@@ -57,7 +57,9 @@ pub(super) fn reconstruct(args: &ReconstructArgs) -> Result<ExitCode, Failure> {
         failed: None,
     };
     let bar = progress::bar(false, "reconstructing");
-    let chained = chain::run(&plan, &mut out, &stop, &mut |p| progress::show(&bar, p));
+    let chained = chain::run(&plan, 0..plan.reconstructions.len(), &mut out, &stop, &mut |p| {
+        progress::show(&bar, p)
+    });
     bar.finish_and_clear();
     let chained = chained?;
     if stop.load(Ordering::Relaxed) {

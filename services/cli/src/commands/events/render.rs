@@ -125,7 +125,9 @@ pub(super) fn render(args: &RenderArgs) -> Result<ExitCode, Failure> {
         failed: None,
     };
     let bar = progress::bar(false, "rendering");
-    let chained = chain::run(&plan, &mut out, &stop, &mut |p| progress::show(&bar, p));
+    let chained = chain::run(&plan, 0..plan.reconstructions.len(), &mut out, &stop, &mut |p| {
+        progress::show(&bar, p)
+    });
     bar.finish_and_clear();
     let chained = chained?;
     if stop.load(Ordering::Relaxed) {

@@ -2,8 +2,9 @@
 
 use super::{Canvas, FAINT, INK, LABEL, ORANGE, SKY_BLUE, SMALL, TITLE, canvas, finish, pass_title, text};
 use crate::colors;
-use crate::demo::frames::{Frame, Place};
+use crate::demo::frames::Place;
 use crate::failure::Failure;
+use crate::seen::Frame;
 use evpr_core::message::ChannelOrder;
 use evpr_core::plan::Sensor;
 use plotters::element::BitMapElement;
