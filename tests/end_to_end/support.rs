@@ -97,9 +97,19 @@ impl Bench {
         fs::rename(draft, path).unwrap();
     }
 
+    /// The run folder of the instance with the default name.
+    pub(crate) fn run_folder(&self) -> PathBuf {
+        self.run_root.path().join("evpr")
+    }
+
+    /// What the names of that instance in shared memory begin with.
+    pub(crate) fn shm_prefix(&self) -> String {
+        shm_prefix(&self.run_folder())
+    }
+
     /// The socket of the instance with the default name.
     pub(crate) fn control_socket(&self) -> PathBuf {
-        self.run_root.path().join("evpr/control.sock")
+        self.run_folder().join("control.sock")
     }
 
     /// Runs a shell script in a mount namespace of its own, so that its mounts are seen by nobody else. `mount` makes
@@ -219,7 +229,7 @@ impl Bench {
             .flatten()
             .map(|e| e.path().display().to_string())
             .collect();
-        let prefix = shm_prefix(&self.run_root.path().join("evpr"));
+        let prefix = self.shm_prefix();
         let shared = fs::read_dir("/dev/shm")
             .unwrap()
             .flatten()
@@ -381,19 +391,34 @@ impl Running {
         true
     }
 
+    /// Process id of the service with this number in the plan, while it runs.
+    pub(crate) fn service(&self, number: usize) -> Option<i32> {
+        let is_it = |pid: &i32| {
+            let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            let words: Vec<_> = line.split(|b| *b == 0).collect();
+            words
+                .windows(2)
+                .any(|w| w[0] == b"--service" && w[1] == number.to_string().as_bytes())
+        };
+        self.children().into_iter().find(is_it)
+    }
+
+    fn children(&self) -> Vec<i32> {
+        let children = fs::read_to_string(format!("/proc/{0}/task/{0}/children", self.pid())).unwrap();
+        children
+            .split_whitespace()
+            .map(|pid| pid.parse().unwrap())
+            .collect()
+    }
+
     /// Process ids of the services whose command line has this kind.
     pub(crate) fn services(&self, kind: &str) -> Vec<i32> {
-        let children = fs::read_to_string(format!("/proc/{0}/task/{0}/children", self.pid())).unwrap();
         let of_kind = |pid: &i32| {
             let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
             let words: Vec<_> = line.split(|b| *b == 0).collect();
             words.get(1) == Some(&&b"service"[..]) && words.get(2) == Some(&kind.as_bytes())
         };
-        children
-            .split_whitespace()
-            .map(|pid| pid.parse().unwrap())
-            .filter(of_kind)
-            .collect()
+        self.children().into_iter().filter(of_kind).collect()
     }
 
     pub(crate) fn signal(pid: i32, signal: nix::sys::signal::Signal) {

@@ -29,6 +29,8 @@ struct MatchLine<'p> {
     members: Vec<&'p str>,
     /// Enabled members without a row, and why.
     missing: BTreeMap<&'p str, &'static str>,
+    /// Every input was there: a row of each enabled member at this tick and at all that the sequence reaches back to.
+    complete: bool,
     latency_us: Latency,
 }
 
@@ -85,6 +87,7 @@ fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> M
             .collect(),
         members,
         missing,
+        complete: header.complete != 0,
         latency_us: Latency {
             reconstruct: us(header.reconstruct_ns),
             extract: us(header.extract_ns),

@@ -16,6 +16,8 @@ struct Lane {
     matcher: SequenceMatcher,
     /// S̃ of the newest tick; NaN where the member sat it out.
     scores: Vec<f64>,
+    /// Ticks in a row with a row, the newest included.
+    streak: u64,
 }
 
 /// One tick's input.
@@ -50,6 +52,8 @@ pub(crate) struct Engine {
     /// As the plan says.
     planned: Fuse,
     length: usize,
+    /// Ticks taken since the first of the run; `None` where the first that was taken is a later one.
+    since_start: Option<u64>,
 }
 
 impl Engine {
@@ -59,6 +63,7 @@ impl Engine {
         let lane = |member: &crate::MapMember| Lane {
             matcher: SequenceMatcher::new(fuse.sequence, fuse.length, &member.valid),
             scores: vec![f64::NAN; map.references],
+            streak: 0,
         };
         let ensemble = Ensemble::new(map.references, fuse.top, fuse.exclusion).with_rule(fuse.rule);
         Ok(Self {
@@ -72,8 +77,14 @@ impl Engine {
             kind: fuse.similarity,
             planned: fuse.clone(),
             length: fuse.length,
+            since_start: None,
             map,
         })
+    }
+
+    /// The next tick is the first of the run: nothing came before it.
+    pub(crate) fn starts_the_run(&mut self) {
+        self.since_start = Some(0);
     }
 
     /// Makes these settings hold from the next tick on.
@@ -133,10 +144,12 @@ impl Engine {
         let remembers = self.ensemble.remembers();
         self.lanes.par_iter_mut().zip(input.rows).for_each(|(lane, row)| {
             lane.matcher.push(*row);
+            lane.streak = if row.is_some() { lane.streak + 1 } else { 0 };
             if answer || remembers {
                 lane.matcher.score(&mut lane.scores);
             }
         });
+        self.since_start = self.since_start.map(|ticks| ticks + 1);
         if !answer && !remembers {
             return None;
         }
@@ -158,6 +171,20 @@ impl Engine {
             Some(best) if best.confidence < self.min_confidence => Verdict::None(Reason::LowConfidence),
             Some(best) => Verdict::Match(best),
         })
+    }
+
+    /// Whether every input of the newest tick was there: a row of each of these members, at it and at every tick before it
+    /// that the sequence reaches back to, as far as the run does.
+    pub(crate) fn is_complete(&self, enabled: &MemberSet) -> bool {
+        let reach = match self.planned.sequence {
+            SequenceMethod::Filter(_) => u64::MAX,
+            method if method.has_length() => self.length.max(1) as u64,
+            _ => 1,
+        };
+        let wanted = self.since_start.map_or(reach, |ticks| ticks.min(reach));
+        enabled
+            .iter()
+            .all(|m| self.lanes.get(m).is_none_or(|l| l.streak >= wanted))
     }
 
     /// The candidates that belong to a verdict.
@@ -185,6 +212,7 @@ impl Engine {
             start_us: info.start_us,
             end_us: info.end_us,
             control_version: info.control_version,
+            complete: u32::from(self.is_complete(&info.members)),
             ends,
             ..MatchHeader::default()
         };

@@ -82,9 +82,13 @@ impl Fuser {
         answer_from: u64,
         clock: Clock,
     ) -> Result<Self, FuseError> {
+        let mut engine = Engine::new(plan, map)?;
+        if first_tick == 0 {
+            engine.starts_the_run();
+        }
         Ok(Self {
             ledger: Ledger::new(plan, first_tick),
-            engine: Engine::new(plan, map)?,
+            engine,
             plan_weights: plan.members.iter().map(|m| m.weight).collect(),
             answer_from,
             clock,

@@ -85,6 +85,9 @@ pub fn answers_with(
     let absent = vec![None; plan.members.len()];
     let mut answers = Vec::with_capacity(query.ticks.len());
     let mut next = query.ticks.first().map_or(0, |t| t.tick);
+    if next == 0 {
+        engine.starts_the_run();
+    }
     for (index, at) in query.ticks.iter().enumerate() {
         // More missing ticks than this leave the same empty window, or a filter that starts over.
         let most = plan

@@ -45,6 +45,10 @@ impl IngestPort for Placed<'_> {
         self.port.wait_until(ns)
     }
 
+    fn rests(&mut self) {
+        self.port.rests();
+    }
+
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64) {
         self.port.progress(permille, next_tick, events, skipped);
     }

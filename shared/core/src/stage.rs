@@ -218,6 +218,9 @@ pub trait IngestPort {
     /// [`StageError::Stopped`], at once, when the process is asked to stop.
     fn wait_until(&mut self, ns: u64) -> Result<(), StageError>;
 
+    /// Tells that there is nothing to do until something comes: waiting long is then no fault.
+    fn rests(&mut self) {}
+
     /// Tells how far it is, for the stats: permille of the recording read (0 when not known), the first tick not
     /// opened yet, events sent, and events left out by decision.
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64);

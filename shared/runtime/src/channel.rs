@@ -2,9 +2,11 @@
 //! by which subscribers say that there is room again. Nobody polls.
 
 use crate::clock::now_ns;
+use crate::gate::Gate;
 use crate::run::Identity;
 use crate::telemetry::Activity;
 use crate::{RuntimeError, Stop};
+use evpr_core::Plan;
 use evpr_core::message::{Header, Histogram, Message, Span, SpanKind};
 use evpr_core::plan::{Channel, Topic};
 use evpr_core::stage::{Outlet, StageError};
@@ -16,7 +18,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use iceoryx2::sample::Sample;
 use iceoryx2::service::port_factory::{event, publish_subscribe};
-use std::cell::{Cell, RefCell};
+use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -330,13 +332,7 @@ pub(crate) struct ChannelReceiver<M: Message> {
     listener: Listener<Ipc>,
     room: Option<Notifier<Ipc>>,
     reader: EventId,
-    run_id: u64,
-    /// The next sequence number per sender (service, incarnation).
-    expected: RefCell<HashMap<(u32, u32), u64>>,
-    /// Messages that were sent and never came.
-    lost: Cell<u64>,
-    /// Messages of another run, or longer than their payload.
-    refused: Cell<u64>,
+    gate: RefCell<Gate>,
     _services: ChannelServices<M>,
 }
 
@@ -361,7 +357,12 @@ impl<M: Message> Incoming<M> {
 
 impl<M: Message> ChannelReceiver<M> {
     /// `reader` is the number of this process among the readers.
-    pub(crate) fn new(services: ChannelServices<M>, run_id: u64, reader: u32) -> Result<Self, RuntimeError> {
+    pub(crate) fn new(
+        services: ChannelServices<M>,
+        plan: &Arc<Plan>,
+        run_id: u64,
+        reader: u32,
+    ) -> Result<Self, RuntimeError> {
         let topic = services.channel.topic.clone();
         let name = PortName::new(&reader.to_string()).map_err(|e| failed(&topic, "bad port name", &e))?;
         let subscriber = services
@@ -388,15 +389,12 @@ impl<M: Message> ChannelReceiver<M> {
             .transpose()
             .map_err(|e| failed(&topic, "cannot notify of room", &e))?;
         Ok(Self {
+            gate: RefCell::new(Gate::new(run_id, topic.clone(), plan.clone())),
             topic,
             subscriber,
             listener,
             room,
             reader: EventId::new(FIRST_READER + reader as usize),
-            run_id,
-            expected: RefCell::default(),
-            lost: Cell::new(0),
-            refused: Cell::new(0),
             _services: services,
         })
     }
@@ -408,12 +406,12 @@ impl<M: Message> ChannelReceiver<M> {
 
     /// Messages that were sent and never came.
     pub(crate) fn lost(&self) -> u64 {
-        self.lost.get()
+        self.gate.borrow().lost
     }
 
-    /// Messages of another run, or longer than their payload.
+    /// Messages that were not let in (see [`Gate`]).
     pub(crate) fn refused(&self) -> u64 {
-        self.refused.get()
+        self.gate.borrow().refused
     }
 
     /// The next message of this run, if there is one.
@@ -427,19 +425,12 @@ impl<M: Message> ChannelReceiver<M> {
                 let _ = room.notify_with_custom_event_id(self.reader);
             }
             let Some(sample) = received else { return Ok(None) };
-            let stamp = *sample.user_header().stamp();
-            if stamp.run_id != self.run_id || stamp.items as usize > sample.payload().len() {
-                self.refused.set(self.refused.get() + 1);
-                continue;
-            }
-            let mut senders = self.expected.borrow_mut();
-            let expected = senders
-                .entry((stamp.service, stamp.incarnation))
-                .or_insert(stamp.seq);
-            let gap = stamp.seq > *expected;
-            self.lost
-                .set(self.lost.get() + stamp.seq.saturating_sub(*expected));
-            *expected = stamp.seq + 1;
+            let port = sample.origin().value();
+            let admitted = self
+                .gate
+                .borrow_mut()
+                .admit::<M>(port, sample.user_header(), sample.payload());
+            let Some(gap) = admitted else { continue };
             return Ok(Some(Incoming { sample, gap }));
         }
     }

@@ -8,6 +8,7 @@ use evpr_core::message::{ChunkHeader, Chunks, Event};
 use evpr_core::plan::{Channel, Delivery, Topic, test_plan};
 use evpr_core::stage::{Outlet, StageError};
 use iceoryx2::node::Node;
+use std::sync::Arc;
 
 struct Bench {
     folder: RunFolder,
@@ -60,7 +61,13 @@ fn sender(node: &Node<Ipc>, channel: &Channel, stop: &Stop, incarnation: u32) ->
 }
 
 fn receiver(node: &Node<Ipc>, channel: &Channel) -> ChannelReceiver<Chunks> {
-    ChannelReceiver::new(ChannelServices::open(node, channel).unwrap(), 7, 1).unwrap()
+    ChannelReceiver::new(
+        ChannelServices::open(node, channel).unwrap(),
+        &Arc::new(test_plan()),
+        7,
+        1,
+    )
+    .unwrap()
 }
 
 fn send(sender: &mut ChannelSender<Chunks>, tick: u64, len: usize) -> Result<(), StageError> {
@@ -190,7 +197,13 @@ fn messages_of_another_run_are_refused() {
     let (a, b) = (bench.node(), bench.node());
     let channel = channel(Delivery::Lossless);
     let mut from = sender(&a, &channel, &Stop::new(), 1);
-    let to = ChannelReceiver::<Chunks>::new(ChannelServices::open(&b, &channel).unwrap(), 8, 1).unwrap();
+    let to = ChannelReceiver::<Chunks>::new(
+        ChannelServices::open(&b, &channel).unwrap(),
+        &Arc::new(test_plan()),
+        8,
+        1,
+    )
+    .unwrap();
     send(&mut from, 0, 1).unwrap();
     assert_eq!(drain(&to), []);
     assert_eq!(to.refused(), 1);

@@ -54,10 +54,7 @@ pub enum ControlRequest {
     },
 }
 
-/// The longest sequence, ticks, as in configurations.
-pub const MAX_LENGTH: u32 = 1_000;
-/// The longest deadline, ns: an hour.
-pub(crate) const MAX_DEADLINE_NS: u64 = 3_600_000_000_000;
+pub(crate) use evpr_core::plan::{MAX_DEADLINE_NS, MAX_LENGTH};
 
 /// Who asks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -9,6 +9,7 @@ mod channel_tests;
 mod clock;
 mod control;
 mod domain;
+mod gate;
 mod placement;
 mod profile;
 mod run;
@@ -20,8 +21,9 @@ mod trace;
 mod wait;
 
 pub use clock::now_ns;
-pub use control::{Change, ControlReply, ControlRequest, MAX_LENGTH, MemberState, request};
+pub use control::{Change, ControlReply, ControlRequest, MemberState, request};
 pub use domain::{RunFolder, RunSpec};
+pub use evpr_core::plan::MAX_LENGTH;
 pub use placement::use_processors;
 pub use profile::{
     FuseStatus, GovernorStatus, LatencyStatus, MemberStatus, Quantiles, ServiceStatus, Status, Times,

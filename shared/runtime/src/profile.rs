@@ -169,6 +169,9 @@ pub struct Status {
     pub matches: u64,
     /// Window closed to answer.
     pub latency: LatencyStatus,
+    /// Messages that the supervisor refused: not of this run, or not such as the plan allows.
+    #[serde(default)]
+    pub refused: u64,
     /// Per process, upstream first.
     pub services: Vec<ServiceStatus>,
     /// Per member of the plan.

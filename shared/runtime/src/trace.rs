@@ -8,6 +8,7 @@ use evpr_core::Plan;
 use evpr_core::message::{Span, Spans};
 use evpr_core::plan::Topic;
 use iceoryx2::node::Node;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// The number of whoever listens, among readers.
@@ -34,7 +35,7 @@ impl TraceReader {
     pub fn join(folder: RunFolder) -> Result<Self, RuntimeError> {
         let spec = folder.read_spec().map_err(|_| folder.is_not_running())?;
         let node = folder.node("trace")?;
-        let spans = receiver(&node, &spec.plan, spec.run_id, TRACE_READER)?;
+        let spans = receiver(&node, &Arc::new(spec.plan.clone()), spec.run_id, TRACE_READER)?;
         Ok(Self {
             spec,
             folder,
@@ -72,14 +73,14 @@ impl TraceReader {
 
 pub(crate) fn receiver(
     node: &Node<Ipc>,
-    plan: &Plan,
+    plan: &Arc<Plan>,
     run_id: u64,
     reader: u32,
 ) -> Result<ChannelReceiver<Spans>, RuntimeError> {
     let channel = plan
         .channel(&Topic::Spans)
         .ok_or_else(|| RuntimeError::Ipc("the plan has no channel spans".to_owned()))?;
-    ChannelReceiver::new(ChannelServices::open(node, &channel)?, run_id, reader)
+    ChannelReceiver::new(ChannelServices::open(node, &channel)?, plan, run_id, reader)
 }
 
 pub(crate) fn drain(

@@ -169,6 +169,7 @@ impl Arrivals for Wait<'_> {
                 return Next::Item(item);
             }
             let wait = Duration::from_nanos(deadline_ns.saturating_sub(port.now_ns()));
+            port.rests();
             crossbeam::select! {
                 recv(self.stop) -> _ => return Next::Stopped,
                 recv(self.items.bell) -> rung => if rung.is_err() {

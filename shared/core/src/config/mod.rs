@@ -20,6 +20,7 @@ mod sink;
 mod slicing;
 mod source;
 mod stages;
+mod supervision;
 mod syntax;
 mod test_catalog;
 mod words;
@@ -39,7 +40,7 @@ pub use words::{
 use crate::plan::{
     Catalog, Crop, Delivery, Extractor, FrameSource, FrameTicks, Fuse, Governor, Inference, LiveSource,
     Member, OnBadEvent, OnOtherSize, Pace, Placement, Plan, Positions, Reconstruction, RowType, Sensor,
-    Slicing, Source, Street, StreetPass,
+    Slicing, Source, Street, StreetPass, Supervision,
 };
 use positions::PositionsSection;
 use reader::Table;
@@ -65,6 +66,7 @@ pub struct Config {
     runtime: RuntimeSection,
     governor: Option<Governor>,
     placements: Vec<Placement>,
+    supervision: Supervision,
     /// Where to point when the sensor or the recording turns out to be wrong or missing.
     places: Places,
 }
@@ -167,6 +169,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
     let governor = governor::governor(root.section("governor"), members.as_deref());
     let (of_frames, of_rows) = (reconstructions.known_ids(), extractors.known_ids());
     let placements = placement::placements(&root, of_frames.as_deref(), of_rows.as_deref());
+    let supervision = supervision::supervision(root.section("supervision"));
     // What `evpr evaluate` does with a configuration's members: not of the graph, and read there.
     let _ = root.section("study");
     root.close();
@@ -186,6 +189,7 @@ fn read<'r>(sink: &Sink<'r>, root: Table<'r>, catalog: &Catalog<'_>) -> Option<C
         runtime: runtime?,
         governor: governor?,
         placements: placements?,
+        supervision: supervision?,
         places: Places {
             sensor: sink.error(&sensor_at, ""),
             source: sink.error(&source_at, ""),
@@ -407,6 +411,7 @@ impl Config {
             deadline_ns: self.runtime.deadline_ns,
             governor: self.governor.clone(),
             placements: self.placements.clone(),
+            supervision: self.supervision,
             map: overrides.map.clone(),
             record: overrides.record.clone(),
             record_rows: self.record_rows,

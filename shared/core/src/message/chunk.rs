@@ -1,8 +1,9 @@
 //! `events/<camera>`: a run of events inside one segment of one tick.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Event, Message, Stamp, header};
+use super::{Event, Message, Refusal, Stamp, check, header};
 use crate::member::{MemberSet, Reason};
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -70,4 +71,8 @@ pub struct Chunks;
 impl Message for Chunks {
     type Header = ChunkHeader;
     type Item = Event;
+
+    fn check(plan: &Plan, header: &ChunkHeader, payload: &[Event]) -> Result<(), Refusal> {
+        check::chunk(plan, header, payload)
+    }
 }

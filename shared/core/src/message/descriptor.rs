@@ -1,7 +1,8 @@
 //! `descriptors/<extractor>`: one row of one member at one tick, or the reason why there is none.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Life, Message, Stamp, header};
+use super::{Life, Message, Refusal, Stamp, check, header};
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -46,4 +47,8 @@ pub struct Descriptors;
 impl Message for Descriptors {
     type Header = DescriptorHeader;
     type Item = f32;
+
+    fn check(plan: &Plan, header: &DescriptorHeader, payload: &[f32]) -> Result<(), Refusal> {
+        check::descriptor(plan, header, payload)
+    }
 }

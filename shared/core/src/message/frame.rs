@@ -1,7 +1,8 @@
 //! `frames/<reconstruction>`: one image of one window, or the reason why there is none.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Life, Message, Stamp, header};
+use super::{Life, Message, Refusal, Stamp, check, header};
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -78,4 +79,8 @@ pub struct Frames;
 impl Message for Frames {
     type Header = FrameHeader;
     type Item = u8;
+
+    fn check(plan: &Plan, header: &FrameHeader, payload: &[u8]) -> Result<(), Refusal> {
+        check::frame(plan, header, payload)
+    }
 }

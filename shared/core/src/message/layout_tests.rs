@@ -29,9 +29,9 @@ fn layouts_are_as_published() {
     layout!(ServiceState, 16, incarnation: 0, dead_through: 4, health: 8);
     layout!(LifecycleHeader, 48,  stamp: 0, version: 40);
     layout!(Candidate, 16, score: 0, reference: 8);
-    layout!(MatchHeader, 408,  stamp: 0, tick: 40, start_us: 48, end_us: 56, reference: 64, score: 72, confidence: 80,
+    layout!(MatchHeader, 416,  stamp: 0, tick: 40, start_us: 48, end_us: 56, reference: 64, score: 72, confidence: 80,
         east_m: 88, north_m: 96, reconstruct_ns: 104, extract_ns: 112, fuse_ns: 120, total_ns: 128, reason: 136,
-        candidates: 140, control_version: 144, ends: 152);
+        candidates: 140, control_version: 144, complete: 152, ends: 160);
     layout!(LiveStats, 88, is_live: 0, connected: 4, dropped_ticks: 8, missed_ticks: 16, lost_events: 24, late_events: 32,
         disconnects: 40, jumps: 48, offset_ns: 56, drift_ppb: 64, delay_p50_ns: 72, delay_p99_ns: 80);
     layout!(StatsHeader, 5560,  stamp: 0, phase: 40, pid: 44, next_tick: 48, received: 56, emitted: 64, skipped: 72,

@@ -1,7 +1,8 @@
 //! `lifecycle`: the supervisor tells the sinks who is dead, so that nobody waits for them.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Message, Stamp, header};
+use super::{Message, Refusal, Stamp, check, header};
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -54,4 +55,8 @@ pub struct Lifecycle;
 impl Message for Lifecycle {
     type Header = LifecycleHeader;
     type Item = ServiceState;
+
+    fn check(plan: &Plan, header: &LifecycleHeader, payload: &[ServiceState]) -> Result<(), Refusal> {
+        check::lifecycle(plan, header, payload)
+    }
 }

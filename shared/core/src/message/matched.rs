@@ -1,8 +1,9 @@
 //! `matches`: the answer of one tick.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Message, Stamp, header};
+use super::{Message, Refusal, Stamp, check, header};
 use crate::member::MAX_MEMBERS;
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -22,7 +23,7 @@ pub struct Candidate {
 /// Header of an answer. The payload is the best candidates, best first; one zeroed item when there is none.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("evpr.MatchHeader.1")]
+#[type_name("evpr.MatchHeader.2")]
 pub struct MatchHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
@@ -56,6 +57,11 @@ pub struct MatchHeader {
     pub candidates: u32,
     /// Version of the control message in force.
     pub control_version: u64,
+    /// 1 when every input of the answer was there: a row of each enabled member at this tick and at each before it that
+    /// its sequence reaches back to. The answer is then that of a run in which nothing went wrong. Else 0.
+    pub complete: u32,
+    /// Unused.
+    pub _pad: u32,
     /// How each member of the plan ended: 0 not enabled, 1 a row that was used, else the code of a [`crate::Reason`].
     pub ends: [u8; MAX_MEMBERS],
 }
@@ -79,6 +85,8 @@ impl Default for MatchHeader {
             reason: 0,
             candidates: 0,
             control_version: 0,
+            complete: 0,
+            _pad: 0,
             ends: [0; MAX_MEMBERS],
         }
     }
@@ -93,4 +101,8 @@ pub struct Matches;
 impl Message for Matches {
     type Header = MatchHeader;
     type Item = Candidate;
+
+    fn check(plan: &Plan, header: &MatchHeader, payload: &[Candidate]) -> Result<(), Refusal> {
+        check::matched(plan, header, payload)
+    }
 }

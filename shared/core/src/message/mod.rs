@@ -3,6 +3,7 @@
 //! Every header is `repr(C)`, has explicit padding, and carries a versioned type name: a layout change needs
 //! a new number, because shared memory compares names and sizes, not fields. `layout` tests pin every offset.
 
+mod check;
 mod chunk;
 mod descriptor;
 mod event;
@@ -16,6 +17,7 @@ mod stamp;
 mod stats;
 mod tick;
 
+pub use check::{MAX_TICK, Refusal};
 pub use chunk::{ChunkHeader, Chunks};
 pub use descriptor::{DescriptorHeader, Descriptors};
 pub use event::Event;
@@ -27,6 +29,7 @@ pub use stamp::{Life, Stamp};
 pub use stats::{Doing, Histogram, LiveStats, MemberCost, ServicePhase, Stats, StatsHeader};
 pub use tick::{Control, ControlHeader, FuseSettings, MemberSetting, TickHeader, TickKind, Ticks};
 
+use crate::plan::Plan;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
 /// One kind of message: a header and a slice of items, both plain data.
@@ -35,6 +38,13 @@ pub trait Message: 'static {
     type Header: Header;
     /// The payload's item type.
     type Item: Copy + Default + std::fmt::Debug + ZeroCopySend + 'static;
+
+    /// Whether a process of the plan can have sent this: its sender, sizes, indices and codes. Asked by every receiver
+    /// before anything of the message is used; `payload` are the items that count.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    fn check(plan: &Plan, header: &Self::Header, payload: &[Self::Item]) -> Result<(), Refusal>;
 }
 
 /// What every header has in common.

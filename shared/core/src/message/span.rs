@@ -1,7 +1,8 @@
 //! `spans`: what a process did when, for a trace. Sent only while somebody listens.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Message, Stamp, header};
+use super::{Message, Refusal, Stamp, check, header};
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -64,4 +65,8 @@ pub struct Spans;
 impl Message for Spans {
     type Header = SpansHeader;
     type Item = Span;
+
+    fn check(plan: &Plan, header: &SpansHeader, payload: &[Span]) -> Result<(), Refusal> {
+        check::spans(plan, header, payload)
+    }
 }

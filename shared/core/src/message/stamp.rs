@@ -25,6 +25,11 @@ pub struct Stamp {
     pub _pad: u32,
 }
 
+impl Stamp {
+    /// The supervisor's number among services.
+    pub const SUPERVISOR: u32 = u32::MAX;
+}
+
 /// Host monotonic times (ns) of the stations between the closing of a window and its row; 0 where not reached.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ZeroCopySend)]

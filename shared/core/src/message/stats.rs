@@ -1,7 +1,8 @@
 //! `stats`: what a process has done so far, published a few times per second and at every change of phase.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Message, Stamp, header};
+use super::{Message, Refusal, Stamp, check, header};
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -33,14 +34,22 @@ pub enum Doing {
     Working = 2,
     /// Waiting for room in a full channel: whoever reads it is slower.
     Blocked = 3,
+    /// Completing what is to be kept, for as long as the disk takes.
+    Closing = 4,
 }
 
 impl Doing {
     /// What has this number.
     pub fn from_code(code: u32) -> Option<Self> {
-        [Self::Loading, Self::Waiting, Self::Working, Self::Blocked]
-            .into_iter()
-            .find(|d| *d as u32 == code)
+        [
+            Self::Loading,
+            Self::Waiting,
+            Self::Working,
+            Self::Blocked,
+            Self::Closing,
+        ]
+        .into_iter()
+        .find(|d| *d as u32 == code)
     }
 
     /// One word for a person.
@@ -50,6 +59,7 @@ impl Doing {
             Self::Waiting => "waiting",
             Self::Working => "working",
             Self::Blocked => "blocked",
+            Self::Closing => "closing",
         }
     }
 }
@@ -248,6 +258,10 @@ pub struct Stats;
 impl Message for Stats {
     type Header = StatsHeader;
     type Item = MemberCost;
+
+    fn check(plan: &Plan, header: &StatsHeader, payload: &[MemberCost]) -> Result<(), Refusal> {
+        check::stats(plan, header, payload)
+    }
 }
 
 #[cfg(test)]

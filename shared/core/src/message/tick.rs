@@ -2,8 +2,9 @@
 //! by which the supervisor tells ingest who shall be.
 #![allow(unsafe_code)] // the ZeroCopySend derive expands to unsafe impls
 
-use super::{Message, Stamp, header};
+use super::{Message, Refusal, Stamp, check, header};
 use crate::member::MemberSet;
+use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
@@ -112,6 +113,10 @@ pub struct Ticks;
 impl Message for Ticks {
     type Header = TickHeader;
     type Item = f64;
+
+    fn check(plan: &Plan, header: &TickHeader, payload: &[f64]) -> Result<(), Refusal> {
+        check::tick(plan, header, payload)
+    }
 }
 
 /// What a member shall be from the next tick on.
@@ -149,4 +154,8 @@ pub struct Control;
 impl Message for Control {
     type Header = ControlHeader;
     type Item = MemberSetting;
+
+    fn check(plan: &Plan, header: &ControlHeader, payload: &[MemberSetting]) -> Result<(), Refusal> {
+        check::control(plan, header, payload)
+    }
 }

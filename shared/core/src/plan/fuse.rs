@@ -3,6 +3,11 @@
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 
+/// The longest sequence that can be asked for while a run goes on, ticks.
+pub const MAX_LENGTH: u32 = 1_000;
+/// The longest deadline that can be asked for while a run goes on, ns: an hour.
+pub const MAX_DEADLINE_NS: u64 = 3_600_000_000_000;
+
 /// Similarity of a query row and a map row: higher is more alike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -11,10 +11,13 @@ mod placement;
 mod positions;
 mod slicing;
 mod source;
+mod supervision;
 
 pub use channels::{Channel, SPANS_AT_ONCE, Topic};
 pub use frames::{FRAMES, FrameSource, FrameTicks, OnOtherSize, StackOrder};
-pub use fuse::{Filter, Fuse, Rule, SeqSlam, SequenceMethod, Similarity, Transition};
+pub use fuse::{
+    Filter, Fuse, MAX_DEADLINE_NS, MAX_LENGTH, Rule, SeqSlam, SequenceMethod, Similarity, Transition,
+};
 pub use kind::*;
 pub use model::{
     Color, Inference, InputSize, Model, ModelKind, Models, Network, Preprocessing, Provider, Resize,
@@ -27,6 +30,7 @@ pub use positions::{
 };
 pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
 pub use source::{LiveSource, OnBadEvent, Pace, Source, Street, StreetPass, TimeUnit};
+pub use supervision::Supervision;
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -238,6 +242,9 @@ pub struct Plan {
     /// Where processes run, if not wherever the system puts them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub placements: Vec<Placement>,
+    /// When a process is killed, started again, and given up.
+    #[serde(default)]
+    pub supervision: Supervision,
     /// The reference map, when the graph has a fuser.
     pub map: Option<PathBuf>,
     /// The traverse to record, when the graph has a recorder.
@@ -342,6 +349,21 @@ impl Plan {
         }
     }
 
+    /// Whether a network is at work in this service.
+    pub fn has_network(&self, service: &Service) -> bool {
+        match service.kind {
+            ServiceKind::Reconstruct => self
+                .reconstructions
+                .get(service.index)
+                .is_some_and(|r| r.network.is_some()),
+            ServiceKind::Extract => self
+                .extractors
+                .get(service.index)
+                .is_some_and(|e| e.network.is_some()),
+            ServiceKind::Ingest | ServiceKind::Fuse | ServiceKind::Record => false,
+        }
+    }
+
     /// Number in headers of the service that runs reconstruction `index`.
     pub fn reconstruct_service(&self, index: usize) -> usize {
         1 + index
@@ -350,6 +372,18 @@ impl Plan {
     /// Number in headers of the service that runs extractor `index`.
     pub fn extract_service(&self, index: usize) -> usize {
         1 + self.reconstructions.len() + index
+    }
+
+    /// Number in headers of the fuser, if the plan has one.
+    pub fn fuse_service(&self) -> Option<usize> {
+        let before = 1 + self.reconstructions.len() + self.extractors.len();
+        self.map.as_ref().map(|_| before)
+    }
+
+    /// How many services [`Plan::services`] lists.
+    pub fn service_count(&self) -> usize {
+        let sinks = usize::from(self.map.is_some()) + usize::from(self.record.is_some());
+        1 + self.reconstructions.len() + self.extractors.len() + sinks
     }
 
     /// The member with these parts, if the plan has it.
@@ -462,6 +496,7 @@ pub fn test_plan() -> Plan {
         deadline_ns: 1_000_000_000,
         governor: None,
         placements: Vec::new(),
+        supervision: Supervision::default(),
         map: Some(PathBuf::from("map")),
         record: None,
         record_rows: RowType::F32,

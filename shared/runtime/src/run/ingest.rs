@@ -142,6 +142,10 @@ impl IngestPort for Port {
         }
     }
 
+    fn rests(&mut self) {
+        self.ctx.telemetry.rests();
+    }
+
     fn progress(&mut self, permille: u64, next_tick: u64, events: u64, skipped: u64) {
         let stats = &mut self.ctx.telemetry.stats;
         stats.progress_permille = permille;
@@ -149,6 +153,7 @@ impl IngestPort for Port {
         stats.events = events;
         stats.skipped = skipped;
         stats.sending = self.chunks.record.sending;
+        stats.refused = self.control.refused();
         self.ctx.telemetry.activity.set(Doing::Working, now_ns());
         if let Err(e) = self.ctx.telemetry.beat() {
             warn!("progress cannot be reported: {e}");

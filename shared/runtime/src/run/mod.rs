@@ -19,6 +19,7 @@ use evpr_core::plan::{Service, Topic};
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
 use std::rc::Rc;
+use std::sync::Arc;
 
 /// Which process of which run this is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,6 +55,8 @@ pub struct ServiceContext {
     pub identity: Identity,
     /// The service in the plan.
     pub service: Service,
+    /// The same plan, for what outlives a borrow of this.
+    shared: Arc<Plan>,
     folder: RunFolder,
     stop: Stop,
     wake: Rc<Listener<Ipc>>,
@@ -89,6 +92,7 @@ impl ServiceContext {
         let (stop, signals) = Stop::listen(wake_sender, false)?;
         let telemetry = Telemetry::new(&node, &plan, identity, &stop)?;
         Ok(Self {
+            shared: Arc::new(plan.clone()),
             plan,
             identity,
             service: described,
@@ -115,7 +119,12 @@ impl ServiceContext {
     }
 
     fn receiver<M: Message>(&self, topic: &Topic) -> Result<ChannelReceiver<M>, RuntimeError> {
-        ChannelReceiver::new(self.services(topic)?, self.identity.run_id, self.identity.service)
+        ChannelReceiver::new(
+            self.services(topic)?,
+            &self.shared,
+            self.identity.run_id,
+            self.identity.service,
+        )
     }
 
     fn sender<M: Message>(&self, topic: &Topic, stop_at: u32) -> Result<ChannelSender<M>, RuntimeError> {

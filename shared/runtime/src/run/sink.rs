@@ -7,7 +7,7 @@ use crate::clock::now_ns;
 use crate::telemetry::{HEARTBEAT, RateLimit};
 use crate::wait::{Waiter, wait_set};
 use evpr_core::message::{
-    Descriptors, Lifecycle, Matches, MemberCost, ServicePhase, ServiceState, TickKind, Ticks,
+    Descriptors, Doing, Lifecycle, Matches, MemberCost, ServicePhase, ServiceState, TickKind, Ticks,
 };
 use evpr_core::plan::Topic;
 use evpr_core::stage::{Outlet, Sink, StageError};
@@ -108,7 +108,8 @@ impl Inputs<'_> {
             .iter()
             .map(ChannelReceiver::refused)
             .sum::<u64>()
-            + self.channels.ticks.refused();
+            + self.channels.ticks.refused()
+            + self.channels.lifecycle.refused();
         Ok(came)
     }
 
@@ -197,6 +198,7 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
             ctx.telemetry.beat()?;
             if !done && sink.finished() {
                 done = true;
+                ctx.telemetry.activity.set(Doing::Closing, now_ns());
                 sink.close().map_err(|e| RuntimeError::Stage(e.to_string()))?;
                 ctx.telemetry.phase(ServicePhase::Done)?;
             }
@@ -206,6 +208,7 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
         }
     }
     if !done {
+        ctx.telemetry.activity.set(Doing::Closing, now_ns());
         sink.close().map_err(|e| RuntimeError::Stage(e.to_string()))?;
     }
     ctx.telemetry.send()

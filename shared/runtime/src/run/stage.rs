@@ -6,7 +6,7 @@ use crate::channel::{ChannelReceiver, ChannelSender, Incoming};
 use crate::clock::now_ns;
 use crate::telemetry::{HEARTBEAT, RateLimit};
 use crate::wait::{Waiter, wait_set};
-use evpr_core::message::{Control, Header, ServicePhase, TickKind, Ticks};
+use evpr_core::message::{Control, Doing, Header, ServicePhase, TickKind, Ticks};
 use evpr_core::plan::{Delivery, Member, ServiceKind, Topic};
 use evpr_core::stage::{Stage, StageError};
 use std::collections::VecDeque;
@@ -141,6 +141,7 @@ impl<S: Stage> Loop<'_, S> {
     /// Lets the stage give what it held back, as nothing waits.
     fn flush(&mut self, ctx: &mut ServiceContext) -> Result<(), StageError> {
         let started = now_ns();
+        ctx.telemetry.activity.set(Doing::Working, started);
         self.sender.started_ns = started;
         let (sent, sending_ns) = (self.sender.sent, self.sender.record.sending.sum_ns);
         let outcome = self.stage.flush(&mut self.sender);
@@ -258,7 +259,9 @@ pub fn run_stage<S: Stage>(
             }
             let stats = &mut ctx.telemetry.stats;
             stats.sending = state.sender.record.sending;
-            stats.refused = receivers.iter().map(ChannelReceiver::refused).sum();
+            stats.refused = receivers.iter().map(ChannelReceiver::refused).sum::<u64>()
+                + state.ticks.as_ref().map_or(0, ChannelReceiver::refused)
+                + state.unload.control.refused();
             stats.dropped = state.dropped + receivers.iter().map(ChannelReceiver::lost).sum::<u64>();
             ctx.telemetry.collect(&mut state.sender.record)?;
             ctx.telemetry.beat()?;

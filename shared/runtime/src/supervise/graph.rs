@@ -1,7 +1,7 @@
 //! The supervisor: tells the policy what happens, and does what it says.
 
 use super::members::Members;
-use super::policy::{Action, Event, Level, Policy, Rules, Start, State, Told};
+use super::policy::{Action, Event, Level, Part, Policy, Rules, Start, State, Told};
 use super::ports::Ports;
 use super::process::Process;
 use super::profile::Profile;
@@ -15,20 +15,19 @@ use crate::wait::{Waiter, wait_set};
 use crate::{RuntimeError, now_ns, shm, trace};
 use evpr_core::Plan;
 use evpr_core::governor::Governor;
-use evpr_core::message::{Header, TickKind};
+use evpr_core::message::{Header, Stamp, TickKind};
 use evpr_core::plan::{Delivery, Member, ServiceKind};
 use evpr_core::stage::OpenedTick;
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
 use nix::sys::signal::Signal;
 use std::fs::File;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::{error, info, warn};
 
 /// The supervisor looks after dead nodes at least this often, should a death notice be missed.
 const ROUND: Duration = Duration::from_millis(250);
-/// The supervisor's own number in stamps.
-const SUPERVISOR: u32 = u32::MAX;
 
 /// See the module.
 pub struct Supervisor {
@@ -61,14 +60,27 @@ pub struct Supervisor {
 }
 
 fn policy(plan: &Plan) -> Policy {
+    let services_of = |m: &Member| {
+        [
+            plan.reconstruct_service(m.reconstruction),
+            plan.extract_service(m.extractor),
+        ]
+    };
     let rules = Rules {
         lossless: plan.delivery == Delivery::Lossless,
         look_back: plan.slicing.segments().look_back_ticks(),
         from_the_start: plan.source.live.is_none() && plan.carries_memory(),
+        limits: plan.supervision,
+        members: plan.members.iter().map(services_of).collect(),
     };
     let services = plan.services().into_iter();
-    let services = services.map(|s| (s.name.clone(), s.kind, plan.is_optional(&s)));
-    Policy::new(rules, services)
+    let parts = services.map(|s| Part {
+        optional: plan.is_optional(&s),
+        network: plan.has_network(&s),
+        name: s.name,
+        kind: s.kind,
+    });
+    Policy::new(rules, parts)
 }
 
 impl Supervisor {
@@ -113,7 +125,7 @@ impl Supervisor {
         let (stop, signals) = Stop::listen(wake_sender.clone(), true)?;
         let identity = Identity {
             run_id,
-            service: SUPERVISOR,
+            service: Stamp::SUPERVISOR,
             incarnation: 1,
         };
         let ports = Ports::create(&node, &plan, identity, &stop)?;
@@ -207,7 +219,12 @@ impl Supervisor {
 
     fn supervise(&mut self, hooks: &mut dyn Hooks) -> Result<Outcome, RuntimeError> {
         if hooks.wants_spans() {
-            let reader = trace::receiver(&self.node, &self.plan, self.run_id, SUPERVISOR_READER);
+            let reader = trace::receiver(
+                &self.node,
+                &Arc::new(self.plan.clone()),
+                self.run_id,
+                SUPERVISOR_READER,
+            );
             self.ports.spans = Some(reader?);
         }
         self.pass()?;
@@ -351,6 +368,8 @@ impl Supervisor {
             let told = Told {
                 phase: stats.phase,
                 next_tick: stats.next_tick,
+                doing: stats.doing,
+                for_ns: stats.stamp.sent_ns.saturating_sub(stats.progress_ns),
             };
             self.tell(Event::Told {
                 service,

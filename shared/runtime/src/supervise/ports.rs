@@ -64,10 +64,12 @@ impl Ports {
             let topic = Topic::Descriptors(e.id.clone());
             held.push(Box::new(hold::<Descriptors>(node, plan, &topic)?));
         }
+        let shared = Arc::new(plan.clone());
         let matches = if plan.map.is_some() {
             let services = hold(node, plan, &Topic::Matches)?;
             Some(ChannelReceiver::new(
                 services,
+                &shared,
                 identity.run_id,
                 SUPERVISOR_READER,
             )?)
@@ -79,15 +81,22 @@ impl Ports {
         let lifecycle = hold(node, plan, &Topic::Lifecycle)?;
         let control = hold(node, plan, &Topic::Control)?;
         Ok(Self {
-            stats: ChannelReceiver::new(stats, identity.run_id, SUPERVISOR_READER)?,
+            stats: ChannelReceiver::new(stats, &shared, identity.run_id, SUPERVISOR_READER)?,
             spans: None,
-            ticks: ChannelReceiver::new(ticks, identity.run_id, SUPERVISOR_READER)?,
+            ticks: ChannelReceiver::new(ticks, &shared, identity.run_id, SUPERVISOR_READER)?,
             matches,
             lifecycle: ChannelSender::new(lifecycle, identity, stop, 1, Arc::default())?,
             lifecycle_version: 0,
             control: ChannelSender::new(control, identity, stop, 1, Arc::default())?,
             _held: held,
         })
+    }
+
+    /// Messages that were not let in.
+    pub(super) fn refused(&self) -> u64 {
+        let spans = self.spans.as_ref().map_or(0, ChannelReceiver::refused);
+        let matches = self.matches.as_ref().map_or(0, ChannelReceiver::refused);
+        self.stats.refused() + self.ticks.refused() + spans + matches
     }
 
     /// Whatever wakes the supervisor.

@@ -46,6 +46,7 @@ impl Supervisor {
             answers: self.answers,
             matches: self.profile.matches(),
             latency: self.profile.latency(),
+            refused: self.ports.refused(),
             services: self.profile.services(&self.processes, self.policy.lives()),
             members: self.profile.members(self.members.states(), &self.processes),
             fuse: {

@@ -13,7 +13,7 @@ mod tests;
 mod words;
 
 pub(super) use life::{Exit, Life, Told};
-pub(super) use words::{Action, Event, Level, Rules, Start};
+pub(super) use words::{Action, Event, Level, Part, Rules, Start};
 
 use ending::Ending;
 use evpr_core::message::{ServiceHealth, ServicePhase, ServiceState};
@@ -24,8 +24,8 @@ const MS: u64 = 1_000_000;
 const SECOND: u64 = 1_000 * MS;
 /// Time that the graph has after a request to stop to finish the ticks under way.
 const DRAIN_NS: u64 = 10 * SECOND;
-/// A process that says nothing for so long is worth a warning. They speak up a few times per second.
-const SILENCE_NS: u64 = 5 * SECOND;
+/// When the policy has not been asked for so long, the supervisor itself was held up, and nobody else is to blame.
+const AWAY_NS: u64 = SECOND;
 
 /// Where the run stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -60,14 +60,15 @@ pub(super) struct Policy {
     stop_requests: u32,
     failed: bool,
     failure: Option<String>,
+    /// When it was last asked what is due.
+    passed_ns: Option<u64>,
     actions: Vec<Action>,
 }
 
 impl Policy {
-    /// `services` are those of the plan, in its order: name, kind, and whether the rest goes on without it.
-    pub(super) fn new(rules: Rules, services: impl IntoIterator<Item = (String, ServiceKind, bool)>) -> Self {
-        let life = |(name, kind, optional)| Life::new(name, kind, optional);
-        let mut lives: Vec<Life> = services.into_iter().map(life).collect();
+    /// `parts` are the services of the plan, in its order.
+    pub(super) fn new(rules: Rules, parts: impl IntoIterator<Item = Part>) -> Self {
+        let mut lives: Vec<Life> = parts.into_iter().map(Life::new).collect();
         for life in &mut lives {
             life.start_at_ns = (life.kind != ServiceKind::Ingest).then_some(0);
         }
@@ -83,6 +84,7 @@ impl Policy {
             stop_requests: 0,
             failed: false,
             failure: None,
+            passed_ns: None,
             actions: Vec::new(),
         }
     }
@@ -151,7 +153,7 @@ impl Policy {
             }
         }
         if self.is_open() {
-            self.listen_for_silence(now_ns);
+            self.look_for_hangs(now_ns);
         }
         std::mem::take(&mut self.actions)
     }
@@ -202,11 +204,7 @@ impl Policy {
         }
         let was_ready = life.in_phase(ServicePhase::Ready);
         life.told(now_ns, told);
-        let (name, ready) = (life.name.clone(), life.in_phase(ServicePhase::Ready));
-        if std::mem::take(&mut life.silent) {
-            self.say(Level::Info, format!("{name} is heard again"));
-        }
-        if ready && !was_ready {
+        if life.in_phase(ServicePhase::Ready) && !was_ready {
             self.became_ready(now_ns, index);
         }
     }
@@ -273,17 +271,8 @@ impl Policy {
             return;
         }
         self.actions.push(Action::CleanUp);
-        if exit == Exit::Failed && life.optional {
-            life.bury(ServiceHealth::Down);
-            let line = format!("{name} cannot go on; it is optional, and the run goes on without it");
-            self.say(Level::Warn, line);
-            self.actions.push(Action::TellStates);
-            return;
-        }
         if exit == Exit::Failed {
-            self.failed = true;
-            self.end(now_ns);
-            return;
+            return self.cannot_go_on(now_ns, index);
         }
         let draining = matches!(self.state, State::Draining { .. });
         if done && life.is_sink() {
@@ -302,6 +291,42 @@ impl Policy {
         self.actions.push(Action::TellStates);
     }
 
+    /// A process has said that it cannot go on, and why.
+    fn cannot_go_on(&mut self, now_ns: u64, index: usize) {
+        let under_way = self.state != State::Starting;
+        let life = &mut self.lives[index];
+        // A replay that cannot be whole is better repeated; live there is nothing to go back to.
+        let spared = life.optional || (under_way && !self.rules.lossless && !life.is_essential());
+        if !spared {
+            self.failed = true;
+            return self.end(now_ns);
+        }
+        life.bury(ServiceHealth::Down);
+        let (name, optional) = (life.name.clone(), life.optional);
+        let why = if optional {
+            "it is optional, and the"
+        } else {
+            "the"
+        };
+        let line = format!("{name} cannot go on; {why} run goes on without it");
+        self.say(if optional { Level::Warn } else { Level::Error }, line);
+        self.actions.push(Action::TellStates);
+        self.check_members(now_ns);
+    }
+
+    /// Without any member there is no run.
+    fn check_members(&mut self, now_ns: u64) {
+        let down = |service: &usize| {
+            let life = self.lives.get(*service);
+            life.is_some_and(|l| l.health == ServiceHealth::Down)
+        };
+        let mut members = self.rules.members.iter();
+        if !self.rules.members.is_empty() && members.all(|services| services.iter().any(down)) {
+            let line = "no member is left: each needs a process that is down for good; the run ends";
+            self.fail(now_ns, line.to_owned());
+        }
+    }
+
     fn died(&mut self, now_ns: u64, index: usize, status: &str) {
         let life = &mut self.lives[index];
         let name = life.name.clone();
@@ -311,7 +336,7 @@ impl Policy {
             return;
         }
         life.died = true;
-        match life.backoff(now_ns) {
+        match life.backoff(now_ns, self.rules.limits.deaths_per_minute) {
             Some(wait_ns) => {
                 life.start_at_ns = Some(now_ns + wait_ns);
                 life.restarts += 1;
@@ -328,6 +353,7 @@ impl Policy {
                 let line =
                     format!("{name} died too often ({status}) and is given up; the run goes on without it");
                 self.say(Level::Error, line);
+                self.check_members(now_ns);
             }
         }
     }
@@ -355,15 +381,19 @@ impl Policy {
         }));
     }
 
-    fn listen_for_silence(&mut self, now_ns: u64) {
-        let silent = |l: &&mut Life| l.running && !l.silent && now_ns.saturating_sub(l.heard_ns) > SILENCE_NS;
-        let mut lines = Vec::new();
-        for life in self.lives.iter_mut().filter(silent) {
-            life.silent = true;
-            let seconds = SILENCE_NS / SECOND;
-            lines.push(format!("{} has not been heard of for {seconds} s", life.name));
+    fn look_for_hangs(&mut self, now_ns: u64) {
+        let passed_ns = self.passed_ns.replace(now_ns).unwrap_or(now_ns);
+        let away = now_ns.saturating_sub(passed_ns) > AWAY_NS;
+        for (service, life) in self.lives.iter_mut().enumerate() {
+            if away {
+                life.forgive_silence(now_ns);
+            }
+            if let Some(line) = life.hangs(now_ns, &self.rules.limits) {
+                let signal = Signal::SIGKILL;
+                self.actions.push(Action::Say(Level::Warn, line));
+                self.actions.push(Action::Signal { service, signal });
+            }
         }
-        lines.into_iter().for_each(|line| self.say(Level::Warn, line));
     }
 
     /// Moves the run on to its next state when it is time.

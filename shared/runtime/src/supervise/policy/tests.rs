@@ -1,7 +1,9 @@
 //! Runs of graphs in which anything happens in any order.
 
-use super::life::{BUDGET_DEATHS, BUDGET_PERIOD_NS};
+use super::life::BUDGET_PERIOD_NS;
 use super::*;
+use evpr_core::message::Doing;
+use evpr_core::plan::Supervision;
 use proptest::prelude::*;
 use std::collections::VecDeque;
 
@@ -14,6 +16,7 @@ const KINDS: [(ServiceKind, bool); 7] = [
     (ServiceKind::Fuse, false),
     (ServiceKind::Record, false),
 ];
+const BUDGET_DEATHS: usize = 10;
 const INGEST: usize = 0;
 const SINKS: [usize; 2] = [5, 6];
 
@@ -93,11 +96,17 @@ impl World {
             lossless,
             look_back: 1,
             from_the_start: false,
+            limits: Supervision::default(),
+            members: vec![[1, 3], [1, 4], [2, 3], [2, 4]],
         };
         let services = KINDS.iter().enumerate();
-        let services =
-            services.map(|(i, (kind, optional))| (format!("{}/{i}", kind.name()), *kind, *optional));
-        let mut policy = Policy::new(rules, services);
+        let parts = services.map(|(i, (kind, optional))| Part {
+            name: format!("{}/{i}", kind.name()),
+            kind: *kind,
+            optional: *optional,
+            network: *kind == ServiceKind::Extract,
+        });
+        let mut policy = Policy::new(rules, parts);
         policy.set_history(4);
         let mut world = Self {
             policy,
@@ -158,6 +167,8 @@ impl World {
         let told = Told {
             phase,
             next_tick: self.answer,
+            doing: Doing::Waiting as u32,
+            for_ns: 0,
         };
         self.on(Event::Told {
             service,
@@ -301,6 +312,11 @@ impl World {
         }
     }
 
+    /// Passes this time, looked at every quarter of a second.
+    fn lets_pass(&mut self, seconds: u64) {
+        (0..4 * seconds).for_each(|_| self.happens(&Fate::Waits(250)));
+    }
+
     /// From now on nothing goes wrong any more, and the recording comes to its end.
     fn comes_to_its_end(&mut self) {
         for _ in 0..10_000 {
@@ -420,4 +436,50 @@ fn a_second_request_to_stop_kills_at_once() {
     world.pass(); // which is due at once
     assert!(world.children[INGEST].killed);
     world.comes_to_its_end();
+}
+
+#[test]
+fn whoever_falls_silent_is_killed_once_and_started_again() {
+    let mut world = World::new(true);
+    ready(&mut world);
+    world.lets_pass(9);
+    for service in (0..KINDS.len()).filter(|s| *s != 3) {
+        world.happens(&Fate::Tells(service, ServicePhase::Ready));
+    }
+    world.lets_pass(2);
+    let killed: Vec<usize> = (0..KINDS.len()).filter(|s| world.children[*s].killed).collect();
+    assert_eq!(killed, [3]);
+    world.happens(&Fate::Obeys(3));
+    assert_eq!(world.children[3].runs, Some(2));
+    assert_eq!(world.policy.lives()[3].restarts, 1, "a hang is a death");
+}
+
+#[test]
+fn when_the_supervisor_itself_was_held_up_nobody_is_to_blame() {
+    let mut world = World::new(true);
+    ready(&mut world);
+    world.happens(&Fate::Waits(60_000));
+    assert!(world.children.iter().all(|c| !c.killed));
+}
+
+#[test]
+fn a_required_stage_that_cannot_go_on_ends_a_replay_and_not_a_live_run() {
+    for lossless in [true, false] {
+        let mut world = World::new(lossless);
+        ready(&mut world);
+        world.happens(&Fate::Ends(3, Exit::Failed));
+        assert_eq!(world.policy.is_open(), !lossless);
+        assert_eq!(world.policy.has_failed(), lossless);
+        // And with the last of its kind the last member goes.
+        world.happens(&Fate::Ends(4, Exit::Failed));
+        assert!(world.policy.has_failed() && !world.policy.is_open());
+        world.comes_to_its_end();
+    }
+}
+
+#[test]
+fn a_required_stage_that_cannot_start_ends_any_run() {
+    let mut world = World::new(false);
+    world.happens(&Fate::Ends(3, Exit::Failed));
+    assert!(world.policy.has_failed() && !world.policy.is_open());
 }

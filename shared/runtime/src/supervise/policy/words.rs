@@ -1,10 +1,11 @@
 //! What the policy hears and what it says.
 
 use super::{Exit, Told};
+use evpr_core::plan::{ServiceKind, Supervision};
 use nix::sys::signal::Signal;
 
 /// What does not change while the run goes on.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(in crate::supervise) struct Rules {
     /// Lossless delivery: whoever goes back sends ingest back too.
     pub(in crate::supervise) lossless: bool,
@@ -12,6 +13,21 @@ pub(in crate::supervise) struct Rules {
     pub(in crate::supervise) look_back: u64,
     /// Ingest always begins with the first tick: what comes of a tick depends on all before it.
     pub(in crate::supervise) from_the_start: bool,
+    /// How long processes may stand still, and how often they may die.
+    pub(in crate::supervise) limits: Supervision,
+    /// Per member: the services that its rows pass through.
+    pub(in crate::supervise) members: Vec<[usize; 2]>,
+}
+
+/// What there is to run.
+#[derive(Debug, Clone)]
+pub(in crate::supervise) struct Part {
+    pub(in crate::supervise) name: String,
+    pub(in crate::supervise) kind: ServiceKind,
+    /// The rest goes on without it, whatever becomes of it.
+    pub(in crate::supervise) optional: bool,
+    /// A network is at work in it.
+    pub(in crate::supervise) network: bool,
 }
 
 /// What has happened.
