@@ -141,9 +141,24 @@ fn latest_ingest_dies() {
 
 #[test]
 fn latest_fuser_dies() {
-    let (_bench, after) = kill_one("fuse", "latest", &[]);
+    let (bench, after) = kill_one("fuse", "latest", &[]);
     assert!(after.stderr.contains("fuse died"), "{}", after.stderr);
     assert!(complete(after.answers.last().unwrap()));
+    // Wherever all inputs were there, the answers are those of an undisturbed run.
+    let wanted = undisturbed(&bench, &bench.path("ensemble.toml"), &bench.path("map"));
+    let whole = |a: &Value| a["complete"].as_bool().unwrap();
+    assert!(wanted.iter().all(whole));
+    let mut since = 0;
+    for (a, b) in after.answers.iter().zip(&wanted) {
+        since = if complete(a) { since + 1 } else { 0 };
+        let tick = a["tick"].as_u64().unwrap();
+        // L = 5.
+        assert_eq!(whole(a), since >= 5.min(tick + 1), "{a}");
+        if whole(a) {
+            assert_eq!(timeless(a), timeless(b), "{}", after.stderr);
+        }
+    }
+    assert!(whole(after.answers.last().unwrap()), "{}", after.stderr);
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! What happens to one tick, live or offline: similarity rows in, scores, fused scores and verdict out.
 
 use crate::ensemble::{Best, Ensemble, Part};
+use crate::history::Standing;
+use crate::sequence::ForwardFilter;
 use crate::similarity::similarity;
 use crate::{FuseError, Map, SequenceMatcher};
 use evpr_core::ledger::TickInfo;
@@ -85,6 +87,34 @@ impl Engine {
     /// The next tick is the first of the run: nothing came before it.
     pub(crate) fn starts_the_run(&mut self) {
         self.since_start = Some(0);
+    }
+
+    /// What is known beside the rows of the last ticks.
+    pub(crate) fn standing(&self) -> Standing {
+        let filter = self.ensemble.filter();
+        Standing {
+            since_start: self.since_start,
+            streaks: self.lanes.iter().map(|l| l.streak).collect(),
+            probabilities: filter.map_or_else(Vec::new, |f| f.probabilities().to_vec()),
+            blind: filter.map_or(0, ForwardFilter::blind),
+        }
+    }
+
+    /// Goes on from there. Rows in a row are counted again as they are taken in, but where the filter's probabilities stand
+    /// for all of them.
+    pub(crate) fn resume(&mut self, standing: &Standing) {
+        self.since_start = standing.since_start;
+        if self.ensemble.remembers() {
+            for (lane, streak) in self.lanes.iter_mut().zip(&standing.streaks) {
+                lane.streak = *streak;
+            }
+        }
+        self.ensemble.resume(&standing.probabilities, standing.blind);
+    }
+
+    /// L as it is now, ticks.
+    pub(crate) fn length(&self) -> usize {
+        self.length
     }
 
     /// Makes these settings hold from the next tick on.

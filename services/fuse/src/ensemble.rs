@@ -79,6 +79,18 @@ impl Ensemble {
         Self { filter, ..self }
     }
 
+    /// The filter, where there is one.
+    pub fn filter(&self) -> Option<&ForwardFilter> {
+        self.filter.as_ref()
+    }
+
+    /// The filter goes on from these probabilities after so many ticks without evidence.
+    pub fn resume(&mut self, probabilities: &[f64], blind: u64) {
+        if let Some(filter) = &mut self.filter {
+            filter.resume(probabilities, blind);
+        }
+    }
+
     /// Whether a tick bears on later ones, so that none may be left out.
     pub fn remembers(&self) -> bool {
         self.filter.is_some()

@@ -1,8 +1,18 @@
-//! What can be wrong with a map.
+//! What can be wrong with a map, or with the file of the last ticks.
 
-/// Why a map cannot be used.
+use std::path::PathBuf;
+
+/// Why a map, or the file of the last ticks, cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FuseError {
+    /// The file of the last ticks cannot be made.
+    #[error("{}: the history of the fuser cannot be kept: {problem}", path.display())]
+    History {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        problem: String,
+    },
     /// The plan names no map.
     #[error("the plan names no reference map; give one with --map")]
     NoMap,

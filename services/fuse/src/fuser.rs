@@ -1,14 +1,16 @@
 //! The fuser as the end of the graph: rows and ticks in, one answer per tick out.
 
 use crate::engine::{Engine, Input, Verdict};
-use crate::{FuseError, Map};
+use crate::history::{Keep, KeptTick};
+use crate::{FuseError, History, Map};
 use evpr_core::ledger::{Arrival, Arrived, Ledger, Settled};
 use evpr_core::member::MAX_MEMBERS;
 use evpr_core::message::{
     Candidate, DescriptorHeader, MatchHeader, Matches, ServiceState, TickHeader, TickKind,
 };
 use evpr_core::stage::{Outlet, Sink, StageError};
-use evpr_core::{End, Plan, Reason};
+use evpr_core::{End, MemberSet, Plan, Reason};
+use std::collections::VecDeque;
 
 /// Host monotonic time, ns: so that `fuse_ns` includes the matching itself.
 pub type Clock = Box<dyn Fn() -> u64 + Send>;
@@ -52,6 +54,11 @@ pub struct Fuser {
     plan_weights: Vec<f64>,
     answer_from: u64,
     clock: Clock,
+    /// Where the last ticks are kept, and what was wrong with that.
+    history: Option<History>,
+    problem: Option<String>,
+    /// Ticks that the last incarnation had settled, and whose answers it had not sent.
+    unsent: VecDeque<KeptTick>,
     /// Similarity rows to be used again.
     pool: Vec<Vec<f64>>,
     observer: Option<Observer>,
@@ -92,9 +99,98 @@ impl Fuser {
             plan_weights: plan.members.iter().map(|m| m.weight).collect(),
             answer_from,
             clock,
+            history: None,
+            problem: None,
+            unsent: VecDeque::new(),
             pool: Vec::new(),
             observer: None,
         })
+    }
+
+    /// The same with a file in which the last ticks are kept. What an earlier incarnation has left there is taken up: the
+    /// ticks before `answer_from` as history, and answers that it had not sent any more are sent with the first
+    /// [`Sink::settle`], without latencies.
+    #[must_use]
+    pub fn with_history(mut self, plan: &Plan, history: History) -> Self {
+        let first = self.answer_from.saturating_sub(history.capacity());
+        let oldest = (first..self.answer_from).find(|tick| history.tick(*tick).is_some());
+        if let Some(oldest) = oldest {
+            for tick in oldest..self.answer_from {
+                self.recall(history.tick(tick).as_ref());
+            }
+        }
+        let mut next = self.answer_from;
+        while let Some(kept) = history.tick(next) {
+            self.unsent.push_back(kept);
+            next += 1;
+        }
+        if next > self.answer_from {
+            self.ledger = Ledger::new(plan, next);
+        }
+        self.history = Some(history);
+        self
+    }
+
+    /// Takes a tick into the history, as lost where it is not there.
+    fn recall(&mut self, kept: Option<&KeptTick>) {
+        let Some(kept) = kept else {
+            let rows = vec![None; self.plan_weights.len()];
+            let input = Input {
+                enabled: &MemberSet::default(),
+                weights: &self.plan_weights,
+                rows: &rows,
+                lost: true,
+            };
+            self.engine.advance(input, false);
+            return;
+        };
+        self.engine.set(&kept.info.fuse);
+        let rows: Vec<Option<&[f64]>> = kept.rows.iter().map(Option::as_deref).collect();
+        self.engine.advance(kept.input(&rows), false);
+        self.engine.resume(&kept.standing);
+    }
+
+    /// Answers what the last incarnation had settled and not sent.
+    fn send_unsent(&mut self, outlet: &mut dyn Outlet<Matches>) -> Result<(), StageError> {
+        while let Some(kept) = self.unsent.pop_front() {
+            self.engine.set(&kept.info.fuse);
+            let rows: Vec<Option<&[f64]>> = kept.rows.iter().map(Option::as_deref).collect();
+            if let Some(verdict) = self.engine.advance(kept.input(&rows), true) {
+                let mut ends = [0; MAX_MEMBERS];
+                ends.iter_mut().zip(&kept.ends).for_each(|(to, end)| *to = *end);
+                let header = self.engine.header(&kept.info, verdict, ends);
+                send(&self.engine, header, verdict, outlet)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Keeps a tick that has just been fused.
+    fn keep(&mut self, settled: &Settled<Vec<f64>>) {
+        let Some(history) = &mut self.history else { return };
+        let rows: Vec<Option<&[f64]>> = settled
+            .ends
+            .iter()
+            .map(|end| used(end).map(|row| row.value.as_slice()))
+            .collect();
+        let ends = end_codes(&settled.ends);
+        let keep = Keep {
+            info: &settled.info,
+            lost: settled.lost,
+            ends: &ends,
+            rows: &rows,
+            standing: &self.engine.standing(),
+        };
+        let kept = history
+            .lengthen(self.engine.length(), settled.info.tick.saturating_sub(1))
+            .and_then(|()| history.keep(&keep));
+        if let Err(e) = kept {
+            self.problem = Some(format!(
+                "{}: the history cannot be kept: {e}; should the fuser die, it begins without any",
+                history.path().display()
+            ));
+            self.history = None;
+        }
     }
 
     /// Shows every settled tick to `observer`, after it was fused and before its answer is sent: for parity tests.
@@ -185,6 +281,21 @@ impl Fuser {
             }
         }
     }
+}
+
+fn send(
+    engine: &Engine,
+    header: MatchHeader,
+    verdict: Verdict,
+    outlet: &mut dyn Outlet<Matches>,
+) -> Result<(), StageError> {
+    let candidates = engine.candidates(verdict);
+    let fill = &mut |payload: &mut [Candidate]| {
+        for (to, from) in payload.iter_mut().zip(candidates) {
+            *to = *from;
+        }
+    };
+    outlet.emit(header, candidates.len().max(1), fill)
 }
 
 fn used<T>(end: &Option<End<Arrived<T>>>) -> Option<&Arrived<T>> {
@@ -288,22 +399,19 @@ impl Sink for Fuser {
     }
 
     fn settle(&mut self, now_ns: u64, outlet: &mut dyn Outlet<Matches>) -> Result<(), StageError> {
+        self.send_unsent(outlet)?;
         while let Some(settled) = self.ledger.settle(now_ns) {
-            if let Some((header, verdict)) = self.fuse(&settled, now_ns) {
-                let candidates = self.engine.candidates(verdict);
-                outlet.emit(
-                    header,
-                    candidates.len().max(1),
-                    &mut |payload: &mut [Candidate]| {
-                        for (to, from) in payload.iter_mut().zip(candidates) {
-                            *to = *from;
-                        }
-                    },
-                )?;
+            let fused = self.fuse(&settled, now_ns);
+            self.keep(&settled);
+            if let Some((header, verdict)) = fused {
+                send(&self.engine, header, verdict, outlet)?;
             }
             self.recycle(settled);
         }
-        Ok(())
+        match self.problem.take() {
+            Some(problem) => Err(StageError::Skip(problem)),
+            None => Ok(()),
+        }
     }
 
     fn deadline_ns(&self) -> Option<u64> {

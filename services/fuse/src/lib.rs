@@ -15,6 +15,7 @@ pub mod ensemble;
 mod error;
 mod fuser;
 pub mod fusion;
+mod history;
 mod map;
 pub mod offline;
 mod order;
@@ -24,5 +25,6 @@ pub mod similarity;
 
 pub use error::FuseError;
 pub use fuser::{Clock, FusedMember, FusedTick, Fuser, Observer};
+pub use history::History;
 pub use map::{Map, MapMember, Rows};
 pub use sequence::{SequenceMatcher, sequence_match};

@@ -156,6 +156,16 @@ impl RunFolder {
         self.path.join("control.sock")
     }
 
+    /// Files that outlive the process that writes them, but not the run.
+    fn kept(&self) -> PathBuf {
+        self.path.join("kept")
+    }
+
+    /// Such a file, by the name of its process.
+    pub(crate) fn kept_file(&self, name: &str) -> PathBuf {
+        self.kept().join(name)
+    }
+
     /// That no instance runs here.
     pub(crate) fn is_not_running(&self) -> RuntimeError {
         let name = self.path.file_name().unwrap_or_default().to_string_lossy();
@@ -233,6 +243,7 @@ impl RunFolder {
             }
         }
         let _ = fs::remove_dir_all(self.ipc_root());
+        let _ = fs::remove_dir_all(self.kept());
         for file in ["control.sock", "run.json", "settings.json"] {
             let _ = fs::remove_file(self.path.join(file));
         }
@@ -248,6 +259,7 @@ impl RunFolder {
     /// Leaves the plan for the processes.
     pub(crate) fn write_spec(&self, spec: &RunSpec) -> Result<(), RuntimeError> {
         let text = serde_json::to_string(spec).map_err(|e| RuntimeError::Folder(e.to_string()))?;
+        fs::create_dir_all(self.kept()).map_err(|e| io_error("cannot create", &self.kept(), &e))?;
         write_atomically(&self.path.join("run.json"), &text)
     }
 

@@ -2,7 +2,7 @@
 
 use crate::args::ServiceArgs;
 use crate::failure::Failure;
-use evpr_core::plan::{ServiceKind, Topic};
+use evpr_core::plan::{Delivery, ServiceKind, Topic};
 use evpr_core::stage::IngestPort;
 use evpr_runtime::{RunFolder, ServiceContext, run_ingest, run_sink, run_stage};
 use std::process::ExitCode;
@@ -63,8 +63,15 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
         }
         ServiceKind::Fuse => {
             let map = evpr_fuse::Map::open(&plan)?;
+            let references = map.references;
             let clock = Box::new(evpr_runtime::now_ns);
             let mut fuser = evpr_fuse::Fuser::new(&plan, map, args.first_tick, args.answer_from, clock)?;
+            // In lossless delivery ingest goes back for what a new fuser has to see.
+            if plan.delivery == Delivery::Latest {
+                let (path, run_id) = (ctx.kept_file(), ctx.identity.run_id);
+                let history = evpr_fuse::History::open(&path, &plan, references, run_id)?;
+                fuser = fuser.with_history(&plan, history);
+            }
             run_sink(ctx, &mut fuser, true)?;
         }
         ServiceKind::Record => {

@@ -35,6 +35,19 @@ impl ForwardFilter {
         &self.probabilities
     }
 
+    /// Ticks in a row without evidence.
+    pub fn blind(&self) -> u64 {
+        self.blind
+    }
+
+    /// Goes on from these probabilities after so many ticks without evidence, if there is one per place.
+    pub fn resume(&mut self, probabilities: &[f64], blind: u64) {
+        if probabilities.len() == self.probabilities.len() {
+            self.probabilities.copy_from_slice(probabilities);
+            self.blind = blind;
+        }
+    }
+
     /// Takes the next tick: one finite z-score per place, or `None` where there is no row at all. Gives the
     /// probabilities.
     ///

@@ -18,6 +18,7 @@ use evpr_core::message::{Message, Stamp};
 use evpr_core::plan::{Service, Topic};
 use iceoryx2::node::Node;
 use iceoryx2::port::listener::Listener;
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 
@@ -103,6 +104,11 @@ impl ServiceContext {
             node,
             _signals: signals,
         })
+    }
+
+    /// A file of this process in the run folder, which its next incarnation finds again.
+    pub fn kept_file(&self) -> PathBuf {
+        self.folder.kept_file(self.service.kind.name())
     }
 
     /// The stop flag, raised by SIGTERM and SIGINT.

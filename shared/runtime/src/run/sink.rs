@@ -178,10 +178,8 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
                 Some(sender) => sender,
                 None => &mut NoOutlet,
             };
-            match sink.settle(started, outlet) {
-                Ok(()) | Err(StageError::Stopped) => {}
-                Err(e) => return Err(RuntimeError::Stage(e.to_string())),
-            }
+            let outcome = sink.settle(started, outlet);
+            inputs.skipped(&mut ctx, before, outcome)?;
             let stats = &mut ctx.telemetry.stats;
             stats.next_tick = sink.next_tick();
             let settled = sink.next_tick() - before;
