@@ -6,6 +6,7 @@ use super::support::{
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 /// Ticks of 20 ms on the wall: time for a process to come back before the recording ends.
 const PACE: &str = "5";
@@ -209,13 +210,62 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
         .flat_map(|k| running.services(k))
         .collect();
     assert_eq!(orphans.len(), 6);
+    // One of them cannot even hear that its supervisor has gone.
+    Running::signal(orphans[3], Signal::SIGSTOP);
     Running::signal(running.pid(), Signal::SIGKILL);
     let _ = running.finish();
+    let started = Instant::now();
+    while !orphans.iter().all(|pid| has_ended(*pid)) {
+        assert!(started.elapsed() < Duration::from_secs(60), "{orphans:?}");
+        std::thread::yield_now();
+    }
     let out = bench.path("again.jsonl");
     let again = bench.run(&run_args(&config, &query, &map, &["-o", text(&out)]));
     assert_eq!(again.code(), 0, "{}", again.stderr);
     assert!(again.stderr.contains("earlier run"), "{}", again.stderr);
     assert_ticks(&super::support::read_answers(&out), TICKS);
+    assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+/// It is gone, or a zombie that nobody reaps.
+fn has_ended(pid: i32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+    stat.rsplit_once(") ")
+        .is_none_or(|(_, state)| state.starts_with('Z'))
+}
+
+#[test]
+fn two_instances_side_by_side_never_touch_each_other() {
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    let query = bench.recording("query.txt", 200, 2);
+    let wanted = undisturbed(&bench, &config, &map);
+    let start = |name| {
+        Running::start(
+            &bench,
+            &run_args(&config, &query, &map, &["--name", name, "--pace", PACE]),
+        )
+    };
+    let (mut left, mut right) = (start("left"), start("right"));
+    assert!(left.read_to(20) && right.read_to(20));
+    let third = bench.run(&run_args(&config, &query, &map, &["--name", "left"]));
+    assert!(third.stderr.contains("is running already"), "{}", third.stderr);
+    // All of one dies; what the next start sweeps away is its own.
+    Running::signal(left.pid(), Signal::SIGKILL);
+    let _ = left.finish();
+    let (answers, said) = start("left").finish();
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert!(said.stderr.contains("earlier run"), "{}", said.stderr);
+    let (others, said) = right.finish();
+    assert_eq!(said.code(), 0, "{}", said.stderr);
+    assert!(!said.stderr.contains("died"), "{}", said.stderr);
+    for answers in [&answers, &others] {
+        assert_ticks(answers, 200);
+        for (a, b) in answers.iter().zip(&wanted) {
+            assert_eq!(timeless(a), timeless(b));
+        }
+    }
     assert_eq!(bench.left_behind(), Vec::<String>::new());
 }
 

@@ -37,6 +37,8 @@ fn stop_one(kind: &str, delivery: &str, ticks: u64) -> (Bench, Vec<Value>, Strin
         "{}",
         said.stderr
     );
+    // Those who waited for it did not hang.
+    assert_eq!(said.stderr.matches("is killed").count(), 1, "{}", said.stderr);
     assert_eq!(bench.left_behind(), Vec::<String>::new());
     (bench, answers, said.stderr)
 }

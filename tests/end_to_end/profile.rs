@@ -256,44 +256,44 @@ fn a_trace_accounts_for_the_time_from_the_closing_of_windows_to_the_answers() {
 }
 
 #[test]
-fn a_process_that_is_stopped_is_reported_and_one_that_waits_is_not() {
+fn while_one_process_is_stopped_the_others_say_whom_they_wait_for() {
     let bench = Bench::new();
-    let config = bench.ensemble_config();
+    let patient =
+        std::fs::read_to_string(bench.ensemble_config()).unwrap() + "[supervision]\nhang = \"1h\"\n";
+    let config = bench.file("ensemble.toml", &patient);
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
     let mut running = Running::start(&bench, &run_args(&config, &query, &map, &["--pace", "10"]));
     assert!(running.read_to(5));
     let extract = running.services("extract")[0];
     Running::signal(extract, nix::sys::signal::Signal::SIGSTOP);
-    // Everybody upstream soon waits for room, and fuse for rows, all for longer than it takes to be reported.
-    assert!(running.logs("extract/patch_norm has not been heard of for 5 s"));
-    let now = status(&bench);
-    let doing = |name: &str| {
+    let doing = |now: &Value, name: &str| {
         let mut services = now["services"].as_array().unwrap().iter();
         services.find(|s| s["name"] == name).unwrap()["doing"]
             .as_str()
             .unwrap()
             .to_owned()
     };
-    assert_eq!(
-        (doing("reconstruct/event_count").as_str(), doing("fuse").as_str()),
-        ("blocked", "waiting")
-    );
+    // Everybody upstream soon waits for room, and fuse for rows.
+    loop {
+        let now = status(&bench);
+        if (
+            doing(&now, "reconstruct/event_count").as_str(),
+            doing(&now, "fuse").as_str(),
+        ) == ("blocked", "waiting")
+        {
+            break;
+        }
+    }
     Running::signal(extract, nix::sys::signal::Signal::SIGCONT);
-    assert!(running.read_to(50));
     let (answers, said) = running.finish();
     assert_eq!(said.code(), 0, "{}", said.stderr);
     assert_ticks(&answers, TICKS);
-    let reported: Vec<_> = said
-        .stderr
-        .lines()
-        .filter(|l| l.contains("has not been heard of"))
-        .collect();
-    assert_eq!(reported.len(), 1, "{reported:?}");
+    assert!(!said.stderr.contains("is killed"), "{}", said.stderr);
 }
 
 #[test]
-fn a_process_that_computes_for_long_is_not_reported() {
+fn a_process_that_computes_for_long_is_let_be() {
     let bench = Bench::new();
     let config = bench.file(
         "small.toml",
@@ -312,5 +312,5 @@ fn a_process_that_computes_for_long_is_not_reported() {
         "{}",
         answers[0]
     );
-    assert!(!said.stderr.contains("heard of"), "{}", said.stderr);
+    assert!(!said.stderr.contains("is killed"), "{}", said.stderr);
 }

@@ -9,14 +9,28 @@ use evpr_core::message::{
 };
 use evpr_core::plan::Topic;
 use evpr_runtime::{RunFolder, RunSpec};
+use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::*;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use serde_json::Value;
+use std::any::Any;
+use std::cell::RefCell;
+use std::collections::HashMap;
 
 type Ipc = ipc_threadsafe::Service;
 
+/// A publisher does not keep its service alive by itself.
+type Port<M> = (
+    Publisher<Ipc, [<M as Message>::Item], <M as Message>::Header>,
+    PortFactory<Ipc, [<M as Message>::Item], <M as Message>::Header>,
+);
+
 struct Rogue {
-    node: Node<Ipc>,
     spec: RunSpec,
+    /// By channel. They stay: what a port has sent that is gone is read by nobody who had not seen it.
+    ports: RefCell<HashMap<String, Box<dyn Any>>>,
+    // Goes last.
+    node: Node<Ipc>,
 }
 
 impl Rogue {
@@ -31,14 +45,35 @@ impl Rogue {
             .config(&config)
             .signal_handling_mode(SignalHandlingMode::Disabled);
         Self {
-            node: node.create::<Ipc>().unwrap(),
             spec: RunFolder::at(folder).read_spec().unwrap(),
+            ports: RefCell::default(),
+            node: node.create::<Ipc>().unwrap(),
         }
     }
 
     fn index(&self, name: &str) -> u32 {
         let services = self.spec.plan.services();
         services.iter().position(|s| s.name == name).unwrap() as u32
+    }
+
+    fn publisher<M: Message>(&self, topic: &Topic) -> Port<M> {
+        let channel = self.spec.plan.channel(topic).unwrap();
+        let name = ServiceName::new(&topic.to_string()).unwrap();
+        let service = self
+            .node
+            .service_builder(&name)
+            .publish_subscribe::<[M::Item]>()
+            .user_header::<M::Header>()
+            .payload_alignment(Alignment::new(64).unwrap())
+            .open()
+            .unwrap();
+        let builder = service
+            .publisher_builder()
+            .initial_max_slice_len(channel.max_items.max(1))
+            .allocation_strategy(AllocationStrategy::Static)
+            .max_loaned_samples(1)
+            .backpressure_strategy(BackpressureStrategy::DiscardData);
+        (builder.create().unwrap(), service)
     }
 
     /// Sends a message with a stamp of this run by a port of its own, as service `service`.
@@ -50,23 +85,11 @@ impl Rogue {
         mut header: M::Header,
         payload: &[M::Item],
     ) {
-        let channel = self.spec.plan.channel(topic).unwrap();
-        let name = ServiceName::new(&topic.to_string()).unwrap();
-        let open = self.node.service_builder(&name);
-        let channel_service = open
-            .publish_subscribe::<[M::Item]>()
-            .user_header::<M::Header>()
-            .payload_alignment(Alignment::new(64).unwrap())
-            .open()
-            .unwrap();
-        let publisher = channel_service
-            .publisher_builder()
-            .initial_max_slice_len(channel.max_items.max(1))
-            .allocation_strategy(AllocationStrategy::Static)
-            .max_loaned_samples(1)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .unwrap();
+        let mut ports = self.ports.borrow_mut();
+        let port = ports
+            .entry(topic.to_string())
+            .or_insert_with(|| Box::new(self.publisher::<M>(topic)));
+        let (publisher, _) = port.downcast_ref::<Port<M>>().unwrap();
         let mut sample = publisher.loan_slice(payload.len().max(1)).unwrap();
         sample.payload_mut()[..payload.len()].copy_from_slice(payload);
         *header.stamp_mut() = Stamp {

@@ -232,3 +232,43 @@ fn nothing_is_left_in_shared_memory() {
     bench.folder.sweep();
     assert_eq!(left(), 0);
 }
+
+#[test]
+fn somebody_else_under_the_same_name_is_refused_and_counted() {
+    let bench = Bench::new();
+    let (a, b, c) = (bench.node(), bench.node(), bench.node());
+    let channel = channel(Delivery::Latest);
+    let to = receiver(&b, &channel);
+    let mut from = sender(&a, &channel, &Stop::new(), 1);
+    send(&mut from, 1, 1).unwrap();
+    assert_eq!(drain(&to), [(1, 1, false)]);
+    let mut rogue = sender(&c, &channel, &Stop::new(), 1);
+    send(&mut rogue, 2, 1).unwrap();
+    assert_eq!(drain(&to), []);
+    send(&mut from, 2, 1).unwrap();
+    // Started again, it is somebody else with a right to its name.
+    let mut again = sender(&c, &channel, &Stop::new(), 2);
+    send(&mut again, 3, 1).unwrap();
+    let mut came = drain(&to);
+    came.sort_unstable();
+    assert_eq!(came, [(2, 1, false), (3, 1, false)]);
+    assert_eq!((to.refused(), to.lost()), (1, 0));
+}
+
+#[test]
+fn what_the_plan_cannot_have_sent_is_refused_and_counted() {
+    let bench = Bench::new();
+    let (a, b) = (bench.node(), bench.node());
+    let channel = channel(Delivery::Latest);
+    let to = receiver(&b, &channel);
+    let mut from = sender(&a, &channel, &Stop::new(), 1);
+    send(&mut from, u64::MAX, 1).unwrap();
+    let header = ChunkHeader {
+        closes: u32::MAX,
+        ..ChunkHeader::default()
+    };
+    from.emit(header, 0, &mut |_| {}).unwrap();
+    send(&mut from, 3, 1).unwrap();
+    assert_eq!(drain(&to), [(3, 1, false)]);
+    assert_eq!((to.refused(), to.lost()), (2, 0));
+}

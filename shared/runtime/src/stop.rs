@@ -2,12 +2,15 @@
 
 use crate::RuntimeError;
 use crate::channel::{Ipc, WakeSender};
-use crossbeam::channel::{Receiver, Sender, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use iceoryx2::prelude::*;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::getpid;
 use signal_hook::consts::{SIGCHLD, SIGINT, SIGTERM};
 use signal_hook::iterator::{Handle, Signals};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 /// The stop flag of a process, shared by all who wait.
 #[derive(Debug, Clone)]
@@ -19,16 +22,22 @@ pub struct Stop {
     keeper: Arc<Mutex<Option<Sender<()>>>>,
 }
 
+/// A process whose supervisor has gone ends within this time, whatever it is busy with.
+const ORPHANED: Duration = Duration::from_millis(1_500);
+
 /// Ends the thread that listens for signals when dropped.
 #[derive(Debug)]
 pub(crate) struct SignalListener {
     handle: Handle,
+    /// Disconnects when this is dropped.
+    ends: Option<Sender<()>>,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
 impl Drop for SignalListener {
     fn drop(&mut self) {
         self.handle.close();
+        self.ends.take();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -95,7 +104,8 @@ impl Stop {
         &self.signal
     }
 
-    /// Listens for SIGTERM and SIGINT, and for SIGCHLD too when `children`; each also sends a wake-up.
+    /// Listens for SIGTERM and SIGINT, and for SIGCHLD too when `children`; each also sends a wake-up. A process without
+    /// children is one of the graph: when its supervisor has gone it is killed, should it not end by itself.
     pub(crate) fn listen(wake: WakeSender, children: bool) -> Result<(Self, SignalListener), RuntimeError> {
         let wanted: &[i32] = if children {
             &[SIGTERM, SIGINT, SIGCHLD]
@@ -108,6 +118,7 @@ impl Stop {
         let stop = Self::new();
         let raised = stop.clone();
         let parent = nix::unistd::getppid();
+        let (ends, ended) = bounded::<()>(0);
         let thread = std::thread::Builder::new()
             .name("signals".to_owned())
             .spawn(move || {
@@ -117,6 +128,10 @@ impl Stop {
                         raised.raise();
                         if nix::unistd::getppid() != parent {
                             raised.raise(); // nobody is there any more to ask a second time
+                            wake.wake();
+                            if !children && ended.recv_timeout(ORPHANED) == Err(RecvTimeoutError::Timeout) {
+                                let _ = kill(getpid(), Signal::SIGKILL);
+                            }
                         }
                     }
                     wake.wake();
@@ -127,6 +142,7 @@ impl Stop {
             stop,
             SignalListener {
                 handle,
+                ends: Some(ends),
                 thread: Some(thread),
             },
         ))

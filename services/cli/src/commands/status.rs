@@ -190,6 +190,12 @@ fn print(status: &Status) {
         };
         say!("governor: p95 {p95} ms of {} ms; shed: {shed}", g.budget_ms);
     }
+    let refused = status.services.iter().map(|s| (s.name.as_str(), s.refused));
+    for (name, count) in refused.chain([("the supervisor", status.refused)]) {
+        if count > 0 {
+            say!("refused: {count} messages that came to {name}, which nobody of this run can have sent");
+        }
+    }
     for c in &status.changes {
         let when = c
             .from_tick

@@ -34,8 +34,8 @@ pub enum Doing {
     Working = 2,
     /// Waiting for room in a full channel: whoever reads it is slower.
     Blocked = 3,
-    /// Completing what is to be kept, for as long as the disk takes.
-    Closing = 4,
+    /// Writing what is to be kept, for as long as the disk takes.
+    Writing = 4,
 }
 
 impl Doing {
@@ -46,7 +46,7 @@ impl Doing {
             Self::Waiting,
             Self::Working,
             Self::Blocked,
-            Self::Closing,
+            Self::Writing,
         ]
         .into_iter()
         .find(|d| *d as u32 == code)
@@ -59,7 +59,7 @@ impl Doing {
             Self::Waiting => "waiting",
             Self::Working => "working",
             Self::Blocked => "blocked",
-            Self::Closing => "closing",
+            Self::Writing => "writing",
         }
     }
 }

@@ -178,6 +178,9 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
                 Some(sender) => sender,
                 None => &mut NoOutlet,
             };
+            if !answers {
+                ctx.telemetry.activity.set(Doing::Writing, started);
+            }
             let outcome = sink.settle(started, outlet);
             inputs.skipped(&mut ctx, before, outcome)?;
             let stats = &mut ctx.telemetry.stats;
@@ -196,7 +199,7 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
             ctx.telemetry.beat()?;
             if !done && sink.finished() {
                 done = true;
-                ctx.telemetry.activity.set(Doing::Closing, now_ns());
+                ctx.telemetry.activity.set(Doing::Writing, now_ns());
                 sink.close().map_err(|e| RuntimeError::Stage(e.to_string()))?;
                 ctx.telemetry.phase(ServicePhase::Done)?;
             }
@@ -206,7 +209,7 @@ pub fn run_sink(mut ctx: ServiceContext, sink: &mut dyn Sink, answers: bool) -> 
         }
     }
     if !done {
-        ctx.telemetry.activity.set(Doing::Closing, now_ns());
+        ctx.telemetry.activity.set(Doing::Writing, now_ns());
         sink.close().map_err(|e| RuntimeError::Stage(e.to_string()))?;
     }
     ctx.telemetry.send()

@@ -7,8 +7,11 @@
 //! - Lossless: when ingest died it goes on at the first tick that a sink still needs (earlier by as much as windows reach
 //!   back), and opens each tick with the members that it had. When a sink died, ingest is
 //!   sent back to the tick that the new one needs; the other sink sees those ticks again and ignores them.
+//! - A process that hangs (see [`evpr_core::plan::Supervision`]) is killed, and has died.
 //! - A process that dies too often is given up. Reconstructions and extractors are then missing from the ensemble;
-//!   without ingest or a sink there is no run, and it ends.
+//!   without ingest, a sink, or any member there is no run, and it ends.
+//!
+//! `policy` decides all this without doing anything; `graph` does it.
 
 mod graph;
 mod members;

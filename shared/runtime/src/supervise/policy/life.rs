@@ -284,7 +284,7 @@ mod tests {
 
     #[test]
     fn whoever_waits_or_keeps_what_is_to_be_kept_does_not_hang() {
-        for doing in [Doing::Waiting, Doing::Blocked, Doing::Closing] {
+        for doing in [Doing::Waiting, Doing::Blocked, Doing::Writing] {
             assert!(!hangs(false, Some((doing, 9_999)), 1), "{doing:?}");
         }
     }
