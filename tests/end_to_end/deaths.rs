@@ -212,19 +212,34 @@ fn a_killed_supervisor_leaves_no_process_and_the_next_start_cleans_up() {
     assert_eq!(orphans.len(), 6);
     // One of them cannot even hear that its supervisor has gone.
     Running::signal(orphans[3], Signal::SIGSTOP);
+    wait_for(|| all_stopped(orphans[3]));
     Running::signal(running.pid(), Signal::SIGKILL);
     let _ = running.finish();
-    let started = Instant::now();
-    while !orphans.iter().all(|pid| has_ended(*pid)) {
-        assert!(started.elapsed() < Duration::from_secs(60), "{orphans:?}");
-        std::thread::yield_now();
-    }
+    wait_for(|| orphans.iter().all(|pid| has_ended(*pid)));
     let out = bench.path("again.jsonl");
     let again = bench.run(&run_args(&config, &query, &map, &["-o", text(&out)]));
     assert_eq!(again.code(), 0, "{}", again.stderr);
     assert!(again.stderr.contains("earlier run"), "{}", again.stderr);
     assert_ticks(&super::support::read_answers(&out), TICKS);
     assert_eq!(bench.left_behind(), Vec::<String>::new());
+}
+
+fn wait_for(it: impl Fn() -> bool) {
+    let started = Instant::now();
+    while !it() {
+        assert!(started.elapsed() < Duration::from_secs(60), "it does not come");
+        std::thread::yield_now();
+    }
+}
+
+/// Every thread of it stands still.
+fn all_stopped(pid: i32) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+    threads.flatten().all(|thread| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).unwrap_or_default();
+        stat.rsplit_once(") ")
+            .is_some_and(|(_, state)| state.starts_with('T'))
+    })
 }
 
 /// It is gone, or a zombie that nobody reaps.

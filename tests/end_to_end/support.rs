@@ -210,15 +210,10 @@ impl Bench {
 
     /// What the running instance of the default name has in shared memory.
     pub(crate) fn shared_memory(&self) -> Vec<PathBuf> {
-        let prefix = shm_prefix(&self.run_root.path().join("evpr"));
+        let prefix = self.shm_prefix();
         let entries = fs::read_dir("/dev/shm").unwrap().flatten();
         let own = entries.filter(|e| e.file_name().to_string_lossy().starts_with(&prefix));
         own.map(|e| e.path()).collect()
-    }
-
-    /// The run folder of the instance of the default name.
-    pub(crate) fn run_folder(&self) -> PathBuf {
-        self.run_root.path().join("evpr")
     }
 
     /// Names in /dev/shm that belong to this bench: all of the machine's that were not there before are not told

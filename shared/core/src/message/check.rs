@@ -83,13 +83,14 @@ pub(super) fn frame(plan: &Plan, header: &FrameHeader, levels: &[u8]) -> Checked
         header.reason != 0 || size == (plan.sensor.height, plan.sensor.width),
         "it is not as large as the sensor",
     )?;
-    let channels = ChannelOrder::from_code(header.channel_order).map(ChannelOrder::channels);
+    let order = ChannelOrder::from_code(header.channel_order).ok_or("there is no such order of channels")?;
+    // Grey images come from sources of coloured ones too.
     that(
-        header.reason != 0 || channels == Some(reconstruction.channels),
-        "its channels are not the reconstruction's",
+        order.channels() <= reconstruction.channels,
+        "it has more channels than the reconstruction",
     )?;
-    let pixels = plan.sensor.pixels() * reconstruction.channels;
-    whole_or_reason(header.reason, levels.len(), pixels)
+    let levels_of_all = plan.sensor.pixels() * order.channels();
+    whole_or_reason(header.reason, levels.len(), levels_of_all)
 }
 
 pub(super) fn descriptor(plan: &Plan, header: &DescriptorHeader, row: &[f32]) -> Checked {
