@@ -22,7 +22,7 @@ const AWAY_INGEST: &str = "lost on the way";
 
 /// The configuration of the synthetic ensemble, with another source. No window closes by the host's clock in these tests
 /// unless they ask for it, so that what is answered does not hang on how busy the machine is.
-fn config(bench: &Bench, source: &str) -> PathBuf {
+pub(super) fn config(bench: &Bench, source: &str) -> PathBuf {
     let file = bench.ensemble_config();
     let written = fs::read_to_string(&file).unwrap();
     let text = written.replace("[source]\n", &format!("[source]\n{source}"));
@@ -30,7 +30,7 @@ fn config(bench: &Bench, source: &str) -> PathBuf {
     bench.file("live.toml", &text)
 }
 
-fn events(recording: &Path) -> Vec<RawEvent> {
+pub(super) fn events(recording: &Path) -> Vec<RawEvent> {
     let mut all = Vec::new();
     let mut batch = Vec::new();
     let mut recording = evpr_events::open(recording, &ReadOptions::default()).unwrap();
@@ -41,13 +41,13 @@ fn events(recording: &Path) -> Vec<RawEvent> {
 }
 
 /// Those of these ticks.
-fn of_ticks(events: &[RawEvent], ticks: std::ops::Range<u64>) -> &[RawEvent] {
+pub(super) fn of_ticks(events: &[RawEvent], ticks: std::ops::Range<u64>) -> &[RawEvent] {
     let at = |tick: u64| events.partition_point(|e| e.t_ns < tick * TICK_NS);
     &events[at(ticks.start)..at(ticks.end)]
 }
 
 /// As text, in µs.
-fn as_text(events: &[RawEvent]) -> Vec<u8> {
+pub(super) fn as_text(events: &[RawEvent]) -> Vec<u8> {
     let line = |e: &RawEvent| format!("{} {} {} {}\n", e.t_ns / 1_000, e.x, e.y, u8::from(e.on));
     events.iter().map(line).collect::<String>().into_bytes()
 }
@@ -126,14 +126,14 @@ fn start(bench: &Bench, source: &str, delivery: &str, stdin: Stdio) -> Running {
 }
 
 /// A server at an address of its own.
-fn serve() -> (TcpListener, String) {
+pub(super) fn serve() -> (TcpListener, String) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     (listener, format!("address = \"{address}\"\nslack = \"10s\"\n"))
 }
 
 /// Waits for the next connection and sends it these bytes; the connection then stays until it is dropped.
-fn send_next(listener: &TcpListener, bytes: &[u8]) -> TcpStream {
+pub(super) fn send_next(listener: &TcpListener, bytes: &[u8]) -> TcpStream {
     let (mut peer, _) = listener.accept().unwrap();
     peer.write_all(bytes).unwrap();
     peer

@@ -24,6 +24,7 @@ mod permissions;
 mod placement;
 mod profile;
 mod replay;
+mod replay_live;
 mod report;
 mod rogue;
 mod steering;

@@ -26,6 +26,7 @@ impl Args {
     pub(crate) fn quiet(&self) -> bool {
         match &self.command {
             Command::Run(args) => args.graph.quiet,
+            Command::Replay(args) => args.quiet,
             Command::Map(MapCommand::Build(args)) => args.graph.quiet,
             // They say themselves what they do.
             Command::Demo(_) | Command::Evaluate(_) => true,
@@ -41,6 +42,8 @@ pub(crate) enum Command {
     Demo(DemoArgs),
     /// Start the graph: events in, place matches out, one JSON line per tick
     Run(RunArgs),
+    /// A recorded run once more, through the same graph: the same answers, or the first that differs
+    Replay(ReplayArgs),
     /// Reference maps: build, look at, check, repair
     #[command(subcommand)]
     Map(MapCommand),
@@ -251,9 +254,16 @@ pub(crate) struct RunArgs {
     /// The reference map to match against
     #[arg(short, long, value_name = "DIR")]
     pub(crate) map: Option<PathBuf>,
-    /// Where to write the matches (JSON lines); stdout when left out
+    /// Where to write the matches: JSON lines, or CSV or MCAP by the name's ending; stdout when left out, but with --keep.
+    /// May be repeated
     #[arg(short, long, value_name = "FILE")]
-    pub(crate) out: Option<PathBuf>,
+    pub(crate) out: Vec<PathBuf>,
+    /// Keep the run in this new folder: configuration, versions, hashes, matches, statistics; for `evpr replay`
+    #[arg(long, value_name = "DIR")]
+    pub(crate) keep: Option<PathBuf>,
+    /// Also record the events as they are cut, for `evpr replay`: a new .aedat4; in the folder of --keep when left out
+    #[arg(long, value_name = "FILE", num_args = 0..=1)]
+    pub(crate) record_events: Option<Option<PathBuf>>,
     /// Also record the rows of this run as a traverse
     #[arg(short, long, value_name = "DIR")]
     pub(crate) record: Option<PathBuf>,
@@ -263,6 +273,35 @@ pub(crate) struct RunArgs {
     /// Also write what every process does when, for ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     pub(crate) trace: Option<PathBuf>,
+}
+
+#[derive(Debug, Parser)]
+pub(crate) struct ReplayArgs {
+    /// The folder of a kept run, or the events (.aedat4) that --record-events made
+    #[arg(value_name = "RUN")]
+    pub(crate) path: PathBuf,
+    /// Compare with the answers of the run instead of printing matches; other answers than the kept ones as --check=FILE
+    #[arg(long, value_name = "MATCHES", num_args = 0..=1, require_equals = true)]
+    pub(crate) check: Option<Option<PathBuf>>,
+    /// Another map to match against
+    #[arg(short, long, value_name = "DIR")]
+    pub(crate) map: Option<PathBuf>,
+    /// Where to write the matches: JSON lines, or CSV or MCAP by the name's ending; stdout when left out, but with --check.
+    /// May be repeated
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) out: Vec<PathBuf>,
+    /// "unpaced", "realtime" or how many times as fast as recorded
+    #[arg(long, value_name = "PACE", value_parser = parse_pace)]
+    pub(crate) pace: Option<Pace>,
+    /// Name of the instance, instead of the run's
+    #[arg(long, value_name = "NAME")]
+    pub(crate) name: Option<String>,
+    /// Where to write what each process took (JSON)
+    #[arg(long, value_name = "FILE")]
+    pub(crate) stats: Option<PathBuf>,
+    /// No progress bar and no summary
+    #[arg(short, long)]
+    pub(crate) quiet: bool,
 }
 
 #[derive(Debug, Subcommand)]

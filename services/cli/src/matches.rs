@@ -1,4 +1,9 @@
-//! Answers as JSON lines.
+//! Answers as they are written: JSON lines, CSV and MCAP.
+
+mod csv;
+mod mcap;
+
+use self::mcap::McapMatches;
 
 use evpr_core::message::{Candidate, MatchHeader};
 use evpr_core::{Plan, Reason};
@@ -10,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 /// One line of the matches.
 #[derive(Debug, Serialize)]
-struct MatchLine<'p> {
+pub(crate) struct MatchLine<'p> {
     tick: u64,
     start_us: u64,
     end_us: u64,
@@ -53,7 +58,8 @@ fn us(ns: u64) -> Option<f64> {
     (ns > 0).then(|| ns as f64 / 1_000.0)
 }
 
-fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> MatchLine<'p> {
+/// An answer as it is written.
+pub(crate) fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> MatchLine<'p> {
     let mut members = Vec::new();
     let mut missing = BTreeMap::new();
     for (member, end) in plan.members.iter().zip(header.ends) {
@@ -97,19 +103,38 @@ fn line<'p>(plan: &'p Plan, header: &MatchHeader, candidates: &[Candidate]) -> M
     }
 }
 
-/// Writes matches to a file or to stdout.
+impl MatchLine<'_> {
+    /// As JSON.
+    pub(crate) fn to_json(&self) -> Result<serde_json::Value, String> {
+        serde_json::to_value(self).map_err(|e| e.to_string())
+    }
+}
+
+/// Writes matches to a file or to stdout: as CSV or MCAP where the file's name ends so, else as JSON lines.
 pub(crate) struct MatchWriter {
     name: String,
-    sink: Sink,
+    format: Format,
+    target: Target,
+    sink: Option<Sink>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    JsonLines,
+    Csv,
+    Mcap,
+}
+
+/// Of a regular file nothing is touched until the first answer is there: a run that does not start destroys nothing.
+enum Target {
+    Opened,
+    File(PathBuf),
 }
 
 enum Sink {
-    Stdout(io::Stdout),
-    /// Of a regular file nothing is touched until the first answer is there: a run that does not start destroys nothing.
-    File {
-        path: PathBuf,
-        file: Option<BufWriter<File>>,
-    },
+    JsonLines(Box<dyn Write>),
+    Csv(Box<dyn Write>),
+    Mcap(Box<McapMatches>),
 }
 
 impl MatchWriter {
@@ -118,11 +143,19 @@ impl MatchWriter {
         let Some(path) = path else {
             return Ok(Self {
                 name: "stdout".to_owned(),
-                sink: Sink::Stdout(io::stdout()),
+                format: Format::JsonLines,
+                target: Target::Opened,
+                sink: Some(Sink::JsonLines(Box::new(io::stdout()))),
             });
         };
         let failed = |e: io::Error| format!("cannot write {}: {e}", path.display());
-        let file = match std::fs::metadata(path) {
+        let ending = path.extension().map(|e| e.to_ascii_lowercase());
+        let format = match ending.as_ref().and_then(|e| e.to_str()) {
+            Some("csv") => Format::Csv,
+            Some("mcap") => Format::Mcap,
+            _ => Format::JsonLines,
+        };
+        let opened = match std::fs::metadata(path) {
             Ok(about) => {
                 let file = File::options().write(true).open(path).map_err(failed)?;
                 // Pipes and devices are waited for now, and cannot be emptied.
@@ -137,34 +170,60 @@ impl MatchWriter {
             }
             Err(e) => return Err(failed(e)),
         };
+        let name = path.display().to_string();
+        let sink = match (opened, format) {
+            (None, _) => None,
+            (Some(_), Format::Mcap) => return Err(format!("{name}: MCAP can only be written to a file")),
+            (Some(file), Format::JsonLines) => Some(Sink::JsonLines(Box::new(file))),
+            (Some(file), Format::Csv) => Some(csv::begin(Box::new(file)).map_err(failed)?),
+        };
         Ok(Self {
-            name: path.display().to_string(),
-            sink: Sink::File {
-                path: path.to_owned(),
-                file,
+            name,
+            format,
+            target: match sink {
+                Some(_) => Target::Opened,
+                None => Target::File(path.to_owned()),
             },
+            sink,
         })
     }
 
-    /// Writes one answer, out to the file: a reader that follows it sees whole lines.
-    pub(crate) fn write(
-        &mut self,
-        plan: &Plan,
-        header: &MatchHeader,
-        candidates: &[Candidate],
-    ) -> Result<(), String> {
+    /// Writes one answer, out to the file: a reader that follows it sees whole lines, or messages.
+    pub(crate) fn write(&mut self, line: &MatchLine<'_>) -> Result<(), String> {
         let failed = |e: &dyn std::fmt::Display| format!("cannot write matches to {}: {e}", self.name);
-        let mut text = serde_json::to_string(&line(plan, header, candidates)).map_err(|e| failed(&e))?;
-        text.push('\n');
-        let sink: &mut dyn Write = match &mut self.sink {
-            Sink::Stdout(stdout) => stdout,
-            Sink::File { file: Some(file), .. } => file,
-            Sink::File { path, file } => {
-                file.insert(BufWriter::new(File::create(path).map_err(|e| failed(&e))?))
+        let sink = match (&mut self.sink, &self.target) {
+            (Some(sink), _) => sink,
+            (None, Target::File(path)) => {
+                let file = BufWriter::new(File::create(path).map_err(|e| failed(&e))?);
+                self.sink.insert(match self.format {
+                    Format::JsonLines => Sink::JsonLines(Box::new(file)),
+                    Format::Csv => csv::begin(Box::new(file)).map_err(|e| failed(&e))?,
+                    Format::Mcap => Sink::Mcap(Box::new(McapMatches::begin(file).map_err(|e| failed(&e))?)),
+                })
             }
+            (None, Target::Opened) => return Ok(()),
         };
-        sink.write_all(text.as_bytes())
-            .and_then(|()| sink.flush())
-            .map_err(|e| failed(&e))
+        match sink {
+            Sink::JsonLines(out) => {
+                let mut text = serde_json::to_string(line).map_err(|e| failed(&e))?;
+                text.push('\n');
+                out.write_all(text.as_bytes())
+                    .and_then(|()| out.flush())
+                    .map_err(|e| failed(&e))
+            }
+            Sink::Csv(out) => csv::write(line, out).map_err(|e| failed(&e)),
+            Sink::Mcap(out) => out.write(line).map_err(|e| failed(&e)),
+        }
+    }
+
+    /// Ends what has an end.
+    pub(crate) fn finish(self) -> Result<(), String> {
+        match self.sink {
+            Some(Sink::Mcap(out)) => {
+                let ended = out.finish();
+                ended.map_err(|e| format!("cannot write matches to {}: {e}", self.name))
+            }
+            _ => Ok(()),
+        }
     }
 }

@@ -21,6 +21,7 @@ mod slicer;
 mod slicer_tests;
 pub mod source;
 mod span;
+pub mod tape;
 #[cfg(test)]
 mod testing;
 

@@ -1,6 +1,6 @@
 //! `evpr map`: reference traverses.
 
-use super::run::{overrides, supervise};
+use super::run::{Outputs, overrides, supervise};
 use crate::args::{MapArgs, MapBuildArgs, MapCommand};
 use crate::catalog;
 use crate::failure::Failure;
@@ -29,7 +29,15 @@ fn build(args: &MapBuildArgs) -> Result<ExitCode, Failure> {
         &args.graph.config.config,
         &overrides(&args.graph, &None, &Some(args.out.clone())),
     )?;
-    let code = supervise(plan, None, None, &args.graph, "mapping")?;
+    let code = supervise(
+        plan,
+        Outputs {
+            stats: args.graph.stats.clone(),
+            quiet: args.graph.quiet,
+            ..Outputs::default()
+        },
+        "mapping",
+    )?;
     if !args.out.exists() {
         eprintln!(
             "{}: stopped before the first tick was complete; there is no map",

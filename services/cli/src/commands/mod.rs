@@ -10,6 +10,7 @@ mod graph;
 mod map;
 mod member;
 mod models;
+mod replay;
 pub(crate) mod run;
 mod sequence_match;
 mod service;
@@ -32,6 +33,7 @@ pub(crate) fn dispatch(command: Command) -> Result<ExitCode, Failure> {
     match command {
         Command::Demo(args) => demo::demo(&args),
         Command::Run(args) => run::run(&args),
+        Command::Replay(args) => replay::replay(&args),
         Command::Map(command) => map::map(command),
         Command::Events(command) => events::events(command),
         Command::Dataset(command) => dataset::dataset(&command),

@@ -2,9 +2,11 @@
 
 use crate::args::{DeliveryArg, GraphRunArgs, RunArgs};
 use crate::catalog;
+use crate::comparison::{Comparison, Verdict};
 use crate::failure::Failure;
-use crate::matches::MatchWriter;
-use crate::output::refuse_input;
+use crate::kept::{self, KeptRun};
+use crate::matches::{self, MatchWriter};
+use crate::output::{refuse_input, say};
 use crate::profile::metrics::MetricsServer;
 use crate::profile::trace::TraceWriter;
 use crate::progress;
@@ -13,6 +15,7 @@ use evpr_core::Plan;
 use evpr_core::config::Overrides;
 use evpr_core::message::{Candidate, MatchHeader, Span};
 use evpr_core::plan::{Delivery, Service, ServiceKind};
+use evpr_ingest::tape;
 use evpr_runtime::{Hooks, Outcome, Progress, RunFolder, RunSummary, Spawn, Supervisor};
 use indicatif::ProgressBar;
 use std::os::unix::process::CommandExt;
@@ -39,15 +42,11 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         // The fuser checks again; here a wrong map is refused before anything is started.
         evpr_store::Traverse::open(map)?.check_against(&plan)?;
     }
-    if let Some(out) = &args.out {
+    for out in &args.out {
         let positions = plan.source.positions.as_ref().map(|p| p.path.as_path());
         let read = [Some(plan.source.path.as_path()), positions, plan.map.as_deref()];
         refuse_input(out, &read.into_iter().flatten().collect::<Vec<_>>())?;
     }
-    let writer = match &plan.map {
-        Some(_) => Some(MatchWriter::open(args.out.as_deref()).map_err(Failure::new)?),
-        None => None,
-    };
     let trace = match &args.trace {
         Some(path) => {
             let read = [Some(plan.source.path.as_path()), plan.map.as_deref()];
@@ -63,7 +62,79 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
     if let Some(server) = &metrics {
         tracing::info!("metrics at http://{}/metrics", server.address());
     }
-    supervise(plan, writer, trace, &args.graph, "matching")
+    let (plan, kept) = keep(plan, args)?;
+    let outputs = open_matches(&plan, args, kept.as_ref()).map(|writers| Outputs {
+        writers,
+        trace,
+        stats: args.graph.stats.clone(),
+        quiet: args.graph.quiet,
+        ..Outputs::default()
+    });
+    match outputs {
+        Ok(outputs) => supervise(plan, Outputs { kept, ..outputs }, "matching"),
+        Err(e) => {
+            discard(&plan, kept);
+            Err(e)
+        }
+    }
+}
+
+/// Begins what is kept of the run: its folder, and the tape of its events.
+fn keep(mut plan: Plan, args: &RunArgs) -> Result<(Plan, Option<KeptRun>), Failure> {
+    plan.record_events = match (&args.record_events, &args.keep) {
+        (None, _) => None,
+        (Some(Some(file)), _) => Some(file.clone()),
+        (Some(None), Some(folder)) => Some(folder.join(kept::EVENTS)),
+        (Some(None), None) => {
+            return Err(Failure::usage(
+                "--record-events: name the file, such as events.aedat4, or give --keep DIR too",
+            ));
+        }
+    };
+    if plan.record_events.is_some() && plan.source.frames.is_some() {
+        return Err(Failure::new(format!(
+            "{}: frames are no events; leave --record-events out",
+            plan.source.path.display()
+        )));
+    }
+    let config = &args.graph.config.config;
+    let kept = args
+        .keep
+        .as_ref()
+        .map(|path| KeptRun::create(path, config, &plan));
+    let kept = kept.transpose()?;
+    if let Some(events) = plan.record_events.clone() {
+        let began = kept::absolute(&plan).and_then(|plan| Ok(tape::create(&events, &plan)?));
+        if let Err(e) = began {
+            kept.into_iter().for_each(KeptRun::discard);
+            return Err(e);
+        }
+        plan.record_events = Some(std::path::absolute(events)?);
+    }
+    Ok((plan, kept))
+}
+
+/// Removes what was begun of a run that did not come to anything.
+fn discard(plan: &Plan, kept: Option<KeptRun>) {
+    if let Some(events) = &plan.record_events {
+        tape::discard(events);
+    }
+    kept.into_iter().for_each(KeptRun::discard);
+}
+
+/// Where the matches go.
+fn open_matches(plan: &Plan, args: &RunArgs, kept: Option<&KeptRun>) -> Result<Vec<MatchWriter>, Failure> {
+    if plan.map.is_none() {
+        return Ok(Vec::new());
+    }
+    let kept = kept.map(|kept| kept.file("matches.jsonl"));
+    let mut outs: Vec<Option<&Path>> = args.out.iter().map(|out| Some(out.as_path())).collect();
+    outs.extend(kept.as_deref().map(Some));
+    if outs.is_empty() {
+        outs.push(None);
+    }
+    let writers = outs.into_iter().map(MatchWriter::open);
+    writers.collect::<Result<_, _>>().map_err(Failure::new)
 }
 
 /// The command line's part of the plan.
@@ -82,17 +153,32 @@ pub(crate) fn overrides(args: &GraphRunArgs, map: &Option<PathBuf>, record: &Opt
     }
 }
 
+/// What a run gives, beside what its graph does.
+#[derive(Default)]
+pub(crate) struct Outputs {
+    pub(crate) writers: Vec<MatchWriter>,
+    pub(crate) trace: Option<TraceWriter>,
+    pub(crate) comparison: Option<Comparison>,
+    pub(crate) kept: Option<KeptRun>,
+    /// Where to write what each process took.
+    pub(crate) stats: Option<PathBuf>,
+    pub(crate) quiet: bool,
+}
+
 struct CliHooks {
     plan: Plan,
-    writer: Option<MatchWriter>,
-    trace: Option<TraceWriter>,
+    outputs: Outputs,
     bar: ProgressBar,
 }
 
 impl Hooks for CliHooks {
     fn answer(&mut self, header: &MatchHeader, candidates: &[Candidate]) -> Result<(), String> {
-        match &mut self.writer {
-            Some(writer) => writer.write(&self.plan, header, candidates),
+        let line = matches::line(&self.plan, header, candidates);
+        for writer in &mut self.outputs.writers {
+            writer.write(&line)?;
+        }
+        match &mut self.outputs.comparison {
+            Some(comparison) => comparison.answer(&line.to_json()?),
             None => Ok(()),
         }
     }
@@ -102,45 +188,104 @@ impl Hooks for CliHooks {
     }
 
     fn wants_spans(&self) -> bool {
-        self.trace.is_some()
+        self.outputs.trace.is_some()
     }
 
     fn spans(&mut self, service: usize, spans: &[Span]) {
-        if let Some(trace) = &mut self.trace {
+        if let Some(trace) = &mut self.outputs.trace {
             trace.write(service, spans);
         }
     }
 }
 
 /// Runs a plan to its end, with a progress bar, and says what came of it.
-pub(crate) fn supervise(
-    plan: Plan,
-    writer: Option<MatchWriter>,
-    trace: Option<TraceWriter>,
-    args: &GraphRunArgs,
-    what: &str,
-) -> Result<ExitCode, Failure> {
-    let quiet = args.quiet;
+pub(crate) fn supervise(plan: Plan, outputs: Outputs, what: &str) -> Result<ExitCode, Failure> {
+    let quiet = outputs.quiet;
     let mut hooks = CliHooks {
         plan: plan.clone(),
-        writer,
-        trace,
+        outputs,
         bar: progress::bar(quiet, what),
     };
     let summary = run_graph(&plan, quiet, &mut hooks);
     hooks.bar.finish_and_clear();
-    let traced = hooks.trace.take().map(TraceWriter::finish).transpose();
+    let Outputs {
+        writers,
+        trace,
+        comparison,
+        kept,
+        stats,
+        ..
+    } = hooks.outputs;
+    let traced = trace.map(TraceWriter::finish).transpose();
+    // Of a run that failed at its start there is nothing to tell.
+    let failed_at_start = summary.as_ref().map_or(true, |summary| {
+        summary.outcome == Outcome::Failed && summary.answers.max(recorded(summary)) == 0
+    });
+    let kept = match kept {
+        kept if failed_at_start => {
+            discard(&plan, kept);
+            None
+        }
+        kept => kept,
+    };
     let summary = summary?;
     traced.map_err(Failure::new)?;
-    // Of a run that failed at its start there is nothing to tell.
-    let failed_at_start = summary.outcome == Outcome::Failed && summary.answers.max(recorded(&summary)) == 0;
+    let written = writers.into_iter().try_for_each(MatchWriter::finish);
+    written.map_err(Failure::new)?;
     if !quiet && !failed_at_start {
         summarise(&summary);
     }
-    if let Some(path) = &args.stats {
+    let kept_stats = kept.as_ref().map(|kept| kept.file("stats.json"));
+    for path in stats.iter().chain(&kept_stats) {
         write_stats(&summary, path)?;
     }
-    conclude(&plan, summary)
+    if let Some(kept) = kept {
+        kept.finish(outcome_text(summary.outcome), summary.answers)?;
+    }
+    let verdict = comparison
+        .map(Comparison::finish)
+        .transpose()
+        .map_err(Failure::new)?;
+    let code = conclude(&plan, summary)?;
+    verdict.map_or(Ok(code), |verdict| judge(&verdict).map(|()| code))
+}
+
+fn outcome_text(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Finished => "finished",
+        Outcome::Stopped => "stopped",
+        Outcome::Interrupted => "interrupted",
+        Outcome::Failed => "failed",
+    }
+}
+
+/// Says whether a replay gave the answers of its run.
+fn judge(verdict: &Verdict) -> Result<(), Failure> {
+    if let Some(difference) = &verdict.difference {
+        return Err(Failure::new(difference));
+    }
+    if verdict.same == 0 {
+        return Err(Failure::new(format!(
+            "no answer could be compared: {} ticks have something missing in one of the two, {} are only in the run, {} only \
+             in the replay",
+            verdict.excused, verdict.only_run, verdict.only_replay
+        )));
+    }
+    let mut line = format!("the same answers in {} ticks", verdict.same);
+    for (count, what) in [
+        (
+            verdict.excused,
+            "not compared, as something was dropped in them or in their history",
+        ),
+        (verdict.only_run, "only in the run"),
+        (verdict.only_replay, "only in the replay"),
+    ] {
+        if count > 0 {
+            line += &format!("; {count} {what}");
+        }
+    }
+    say!("{line}");
+    Ok(())
 }
 
 /// Runs the processes of a plan until all have ended. With `quiet_logs` they log only what is degraded or wrong.

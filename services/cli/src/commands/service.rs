@@ -2,8 +2,10 @@
 
 use crate::args::ServiceArgs;
 use crate::failure::Failure;
+use evpr_core::Plan;
 use evpr_core::plan::{Delivery, ServiceKind, Topic};
-use evpr_core::stage::IngestPort;
+use evpr_core::stage::{IngestPort, StageError};
+use evpr_ingest::tape::{Recorder, TapeIngest, Taped};
 use evpr_runtime::{RunFolder, ServiceContext, run_ingest, run_sink, run_stage};
 use std::process::ExitCode;
 
@@ -15,10 +17,30 @@ pub(crate) fn service(args: &ServiceArgs) -> Result<ExitCode, Failure> {
     Ok(ExitCode::SUCCESS)
 }
 
+/// The same work; what it sends is recorded where the plan wants that.
+fn taped<W>(
+    plan: &Plan,
+    work: W,
+) -> Result<impl FnOnce(&mut dyn IngestPort) -> Result<(), StageError> + use<W>, Failure>
+where
+    W: FnOnce(&mut dyn IngestPort) -> Result<(), StageError>,
+{
+    let recorder = Recorder::resume(plan)?;
+    Ok(move |port: &mut dyn IngestPort| match &recorder {
+        Some(recorder) => work(&mut Taped::new(port, recorder)),
+        None => work(port),
+    })
+}
+
 fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
     let plan = ctx.plan.clone();
     let index = ctx.service.index;
     match ctx.service.kind {
+        ServiceKind::Ingest if plan.source.is_tape() => {
+            let stop = ctx.stop().signal().clone();
+            let tape = TapeIngest::new(&plan, args.first_tick, args.epoch, stop)?;
+            run_ingest(ctx, args.end_tick, |port| tape.run(port))?;
+        }
         ServiceKind::Ingest if plan.source.frames.is_some() => {
             let stop = ctx.stop().signal().clone();
             let ingest = evpr_ingest::FrameIngest::new(&plan, args.first_tick, args.epoch, stop)?;
@@ -35,11 +57,13 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
                     return Ok(run_ingest(ctx, args.end_tick, end)?);
                 }
                 let live = evpr_ingest::Live::new(&plan, args.first_tick, args.epoch, stop)?;
-                return Ok(run_ingest(ctx, args.end_tick, |port| live.run(port).map(|_| ()))?);
+                let work = |port: &mut dyn IngestPort| live.run(port).map(|_| ());
+                return Ok(run_ingest(ctx, args.end_tick, taped(&plan, work)?)?);
             }
             let ingest =
                 evpr_ingest::Ingest::new(&plan, args.first_tick, args.epoch, ctx.stop().signal().clone())?;
-            run_ingest(ctx, args.end_tick, |port| ingest.run(port).map(|_| ()))?;
+            let work = |port: &mut dyn IngestPort| ingest.run(port).map(|_| ());
+            run_ingest(ctx, args.end_tick, taped(&plan, work)?)?;
         }
         ServiceKind::Reconstruct => {
             let output = Topic::Frames(plan.reconstructions[index].id.clone());

@@ -2,7 +2,7 @@
 
 use crate::commands::run::run_graph;
 use crate::failure::Failure;
-use crate::matches::MatchWriter;
+use crate::matches::{self, MatchWriter};
 use crate::progress;
 use evpr_core::Plan;
 use evpr_core::message::{Candidate, MatchHeader};
@@ -56,7 +56,7 @@ impl Hooks for Watch<'_> {
     fn answer(&mut self, header: &MatchHeader, candidates: &[Candidate]) -> Result<(), String> {
         self.answers.push(*header);
         match &mut self.writer {
-            Some(writer) => writer.write(self.plan, header, candidates),
+            Some(writer) => writer.write(&matches::line(self.plan, header, candidates)),
             None => Ok(()),
         }
     }

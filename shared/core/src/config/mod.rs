@@ -415,6 +415,7 @@ impl Config {
             map: overrides.map.clone(),
             record: overrides.record.clone(),
             record_rows: self.record_rows,
+            record_events: None,
         })
     }
 }

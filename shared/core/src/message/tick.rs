@@ -7,6 +7,7 @@ use crate::member::MemberSet;
 use crate::plan::Plan;
 use iceoryx2_bb_derive_macros::ZeroCopySend;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+use serde::{Deserialize, Serialize};
 
 /// What a tick message says. Stored as its number.
 #[repr(u32)]
@@ -32,7 +33,7 @@ impl TickKind {
 
 /// What of the fuser's settings changes while it runs. 0 stands for what the plan says.
 #[repr(C)]
-#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend, Serialize, Deserialize)]
 #[type_name("evpr.FuseSettings.1")]
 pub struct FuseSettings {
     /// Sequence length, ticks.

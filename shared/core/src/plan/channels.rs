@@ -100,7 +100,7 @@ impl Plan {
     pub fn chunk_events(&self) -> usize {
         if self.source.frames.is_some() {
             1
-        } else if self.source.pace == Pace::Unpaced && !self.is_live() {
+        } else if self.source.is_tape() || (self.source.pace == Pace::Unpaced && !self.is_live()) {
             1 << 16
         } else {
             1 << 14

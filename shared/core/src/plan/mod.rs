@@ -29,7 +29,7 @@ pub use positions::{
     Crop, DEFAULT_MAX_GAP_NS, PositionClock, PositionCompat, PositionKind, Positions, UtmZone,
 };
 pub use slicing::{Align, Origin, SegmentPlan, SliceMode, Slicing, WindowSpan};
-pub use source::{LiveSource, OnBadEvent, Pace, Source, Street, StreetPass, TimeUnit};
+pub use source::{LiveSource, OnBadEvent, Pace, Source, Street, StreetPass, TAPE, TimeUnit};
 pub use supervision::Supervision;
 
 use serde::{Deserialize, Serialize};
@@ -252,6 +252,9 @@ pub struct Plan {
     /// How the recorder keeps rows.
     #[serde(default)]
     pub record_rows: RowType,
+    /// The tape of events that ingest writes, if it writes one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub record_events: Option<PathBuf>,
 }
 
 /// The latency governor: sheds members where window-close → answer takes longer than the budget, and takes them back.
@@ -500,5 +503,6 @@ pub fn test_plan() -> Plan {
         map: Some(PathBuf::from("map")),
         record: None,
         record_rows: RowType::F32,
+        record_events: None,
     }
 }

@@ -4,10 +4,13 @@ use super::{Delivery, FRAMES, Filters, FrameSource, HotPixels, Plan, Positions, 
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
+/// The kind of a source that is a tape of events as ingest cut them.
+pub const TAPE: &str = "tape";
+
 /// Where events come from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Source {
-    /// `file`, `street`, `frames`, `stdin`, `tcp`, `aedat4_tcp` or `usb`.
+    /// `file`, `street`, `frames`, `stdin`, `tcp`, `aedat4_tcp`, `usb`, or [`TAPE`], which no configuration names.
     pub kind: String,
     /// The recording. Of another kind: what it is called in messages and in traverses.
     pub path: PathBuf,
@@ -79,6 +82,11 @@ impl Source {
             live: Some(live),
             ..Self::file(name)
         }
+    }
+
+    /// True for a tape.
+    pub fn is_tape(&self) -> bool {
+        self.kind == TAPE
     }
 
     /// True for standard input.
@@ -207,6 +215,41 @@ pub enum OnBadEvent {
 }
 
 impl Plan {
+    /// The same graph over a tape of its events: lossless, and nothing is recorded. The tape says who is enabled at each
+    /// tick, so nobody governs.
+    pub fn of_tape(mut self, tape: PathBuf) -> Self {
+        self.source.kind = TAPE.to_owned();
+        self.source.path = tape;
+        self.source.live = None;
+        self.source.street = None;
+        self.governor = None;
+        self.replayed()
+    }
+
+    /// The same graph, replayed: lossless and unpaced, and nothing is recorded.
+    pub fn replayed(mut self) -> Self {
+        self.source.pace = Pace::Unpaced;
+        self.delivery = Delivery::Lossless;
+        (self.record, self.record_events) = (None, None);
+        self
+    }
+
+    /// Calls this with every path in the plan.
+    pub fn each_path(&mut self, visit: &mut dyn FnMut(&mut PathBuf)) {
+        if self.source.live.is_none() && self.source.street.is_none() {
+            visit(&mut self.source.path);
+        }
+        let positions = self.source.positions.as_mut().map(|p| &mut p.path);
+        let own = [&mut self.map, &mut self.record, &mut self.record_events];
+        let own = own.into_iter().filter_map(Option::as_mut);
+        let networks = self.reconstructions.iter_mut().map(|r| &mut r.network);
+        let networks = networks.chain(self.extractors.iter_mut().map(|e| &mut e.network));
+        let models = networks.flatten().map(|n| &mut n.model.file);
+        let library = self.inference.library.as_mut();
+        let all = positions.into_iter().chain(own).chain(models).chain(library);
+        all.for_each(visit);
+    }
+
     /// Whether events are taken as they come, by the time of the host, and lost when nobody takes them. In lossless
     /// delivery standard input is not: whoever writes it can wait, so it is read like a file.
     pub fn is_live(&self) -> bool {

@@ -9,7 +9,7 @@ use crate::RawEvent;
 use evpr_core::plan::Sensor;
 use lz4_flex::frame::{BlockMode, BlockSize, FrameEncoder, FrameInfo};
 use std::io::{Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const FIRST_LINE: &[u8] = b"#!AER-DAT4.0\r\n";
 /// Events in a packet; DV itself writes 10 000.
@@ -25,15 +25,61 @@ const TABLE_AT: usize = 40;
 
 /// See the module.
 pub(super) struct Aedat4 {
-    file: NewFile,
+    packets: Packets<NewFile>,
+}
+
+impl Aedat4 {
+    pub(super) fn create(path: &Path, options: &WriteOptions) -> Result<Self, WriteError> {
+        let sensor = options.sensor.ok_or_else(|| WriteError::NoSensor {
+            path: path.to_owned(),
+            format: "AEDAT4",
+        })?;
+        check_sensor(path, sensor)?;
+        Ok(Self {
+            packets: Packets::begin(NewFile::create(path)?, path, sensor)?,
+        })
+    }
+}
+
+impl Writer for Aedat4 {
+    fn write(&mut self, events: &[RawEvent]) -> Result<(), WriteError> {
+        self.packets.write(events)
+    }
+
+    fn finish(self: Box<Self>) -> Result<(), WriteError> {
+        let mut packets = self.packets;
+        packets.end()?;
+        packets.out.commit()
+    }
+}
+
+/// Refuses a sensor that is too large for the format.
+pub(super) fn check_sensor(path: &Path, sensor: Sensor) -> Result<(), WriteError> {
+    let most = i16::MAX as usize + 1;
+    if sensor.width <= most && sensor.height <= most {
+        return Ok(());
+    }
+    Err(WriteError::Unfit {
+        path: path.to_owned(),
+        what: format!(
+            "the sensor of {}x{} pixels is too large for AEDAT4 (at most {most} either way); use another format",
+            sensor.height, sensor.width
+        ),
+    })
+}
+
+/// Events as the packets of a file.
+pub(super) struct Packets<W> {
+    pub(super) out: W,
+    path: PathBuf,
     /// The packet that is being filled.
     packet: Vec<u8>,
     first_us: u64,
     last_us: u64,
     /// Events taken so far.
-    index: u64,
+    pub(super) index: u64,
     /// Bytes in the file.
-    at: u64,
+    pub(super) at: u64,
     table: Vec<Entry>,
 }
 
@@ -47,38 +93,32 @@ struct Entry {
     last_us: u64,
 }
 
-impl Aedat4 {
-    pub(super) fn create(path: &Path, options: &WriteOptions) -> Result<Self, WriteError> {
-        let sensor = options.sensor.ok_or_else(|| WriteError::NoSensor {
+impl<W: Write> Packets<W> {
+    /// Goes on behind `at` bytes with `index` events.
+    pub(super) fn resume(out: W, path: &Path, at: u64, index: u64) -> Self {
+        Self {
+            out,
             path: path.to_owned(),
-            format: "AEDAT4",
-        })?;
-        let most = i16::MAX as usize + 1;
-        if sensor.width > most || sensor.height > most {
-            return Err(WriteError::Unfit {
-                path: path.to_owned(),
-                what: format!(
-                    "the sensor of {}x{} pixels is too large for AEDAT4 (at most {most} either way); use another format",
-                    sensor.height, sensor.width
-                ),
-            });
-        }
-        let mut writer = Self {
-            file: NewFile::create(path)?,
             packet: EVENTS_HEAD.to_vec(),
             first_us: 0,
             last_us: 0,
-            index: 0,
-            at: 0,
+            index,
+            at,
             table: Vec::new(),
-        };
-        writer.append(FIRST_LINE)?;
-        writer.append(&header(sensor))?;
-        Ok(writer)
+        }
+    }
+
+    /// Begins a file.
+    pub(super) fn begin(out: W, path: &Path, sensor: Sensor) -> Result<Self, WriteError> {
+        let mut packets = Self::resume(out, path, 0, 0);
+        packets.append(FIRST_LINE)?;
+        packets.append(&header(sensor))?;
+        Ok(packets)
     }
 
     fn append(&mut self, bytes: &[u8]) -> Result<(), WriteError> {
-        self.file.write_all(bytes).map_err(|e| self.file.failed(e))?;
+        let written = self.out.write_all(bytes);
+        written.map_err(|e| WriteError::write(&self.path, e))?;
         self.at += bytes.len() as u64;
         Ok(())
     }
@@ -88,41 +128,20 @@ impl Aedat4 {
             .block_size(BlockSize::Max64KB)
             .block_mode(BlockMode::Linked);
         let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
-        encoder.write_all(bytes).map_err(|e| self.file.failed(e))?;
-        encoder.finish().map_err(|e| self.file.failed(e.into()))
+        let written = encoder.write_all(bytes);
+        written.map_err(|e| WriteError::write(&self.path, e))?;
+        encoder
+            .finish()
+            .map_err(|e| WriteError::write(&self.path, e.into()))
     }
 
-    /// Writes the packet that has been filled, if there is anything in it.
-    fn end_packet(&mut self) -> Result<(), WriteError> {
-        let events = (self.packet.len() - EVENTS_HEAD.len()) / 16;
-        if events == 0 {
-            return Ok(());
-        }
-        put(&mut self.packet, 28, &(events as u32).to_le_bytes());
-        fill_in_length(&mut self.packet);
-        let body = self.compressed(&self.packet)?;
-        let size = body.len() as u32;
-        self.append(&[[0; 4], size.to_le_bytes()].concat())?;
-        self.table.push(Entry {
-            at: self.at,
-            size,
-            events: events as u64,
-            first_us: self.first_us,
-            last_us: self.last_us,
-        });
-        self.append(&body)?;
-        self.packet.truncate(EVENTS_HEAD.len());
-        Ok(())
-    }
-}
-
-impl Writer for Aedat4 {
-    fn write(&mut self, events: &[RawEvent]) -> Result<(), WriteError> {
+    /// Takes events; each packet is written when it is full.
+    pub(super) fn write(&mut self, events: &[RawEvent]) -> Result<(), WriteError> {
         for e in events {
             let coordinate = |v: u16| i16::try_from(v).ok();
             let (Some(x), Some(y)) = (coordinate(e.x), coordinate(e.y)) else {
                 return Err(WriteError::Event {
-                    path: self.file.path().to_owned(),
+                    path: self.path.clone(),
                     index: self.index,
                     what: format!(
                         "lies at x {}, y {}, beyond what AEDAT4 can hold (32767)",
@@ -149,17 +168,41 @@ impl Writer for Aedat4 {
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>) -> Result<(), WriteError> {
+    /// Writes the packet that has been filled, if there is anything in it.
+    pub(super) fn end_packet(&mut self) -> Result<(), WriteError> {
+        let events = (self.packet.len() - EVENTS_HEAD.len()) / 16;
+        if events == 0 {
+            return Ok(());
+        }
+        put(&mut self.packet, 28, &(events as u32).to_le_bytes());
+        fill_in_length(&mut self.packet);
+        let body = self.compressed(&self.packet)?;
+        let size = body.len() as u32;
+        self.table.push(Entry {
+            at: self.at + 8,
+            size,
+            events: events as u64,
+            first_us: self.first_us,
+            last_us: self.last_us,
+        });
+        self.append(&[&[0; 4], &size.to_le_bytes(), body.as_slice()].concat())?;
+        self.packet.truncate(EVENTS_HEAD.len());
+        Ok(())
+    }
+}
+
+impl<W: Write + Seek> Packets<W> {
+    /// Writes what is left, and the table.
+    pub(super) fn end(&mut self) -> Result<(), WriteError> {
         self.end_packet()?;
         let table_at = self.at;
         let table = self.compressed(&data_table(&self.table))?;
         self.append(&table)?;
         let place = SeekFrom::Start((FIRST_LINE.len() + TABLE_AT) as u64);
-        let sought = self.file.seek(place).map(drop);
+        let sought = self.out.seek(place).map(drop);
         sought
-            .and_then(|()| self.file.write_all(&table_at.to_le_bytes()))
-            .map_err(|e| self.file.failed(e))?;
-        self.file.commit()
+            .and_then(|()| self.out.write_all(&table_at.to_le_bytes()))
+            .map_err(|e| WriteError::write(&self.path, e))
     }
 }
 

@@ -4,6 +4,7 @@
 //! name there is never half a recording.
 
 mod aedat4;
+mod appended;
 mod csv;
 mod error;
 mod evt3;
@@ -18,6 +19,7 @@ use crate::RawEvent;
 use evpr_core::plan::Sensor;
 use std::path::Path;
 
+pub use appended::{AppendedAedat4, Committed};
 pub use error::WriteError;
 
 /// A recording that is being written. Dropped before it is finished, it leaves nothing behind.
