@@ -7,6 +7,8 @@ mod bad_input;
 mod browser;
 mod convert;
 mod corridor;
+mod dashboard;
+mod dashboard_page;
 mod dataset;
 mod deaths;
 mod demo;

@@ -20,9 +20,11 @@ fn set(bench: &Bench, args: &[&str]) -> u64 {
 }
 
 #[test]
-fn length_and_rule_change_at_the_tick_that_is_named_and_leave_one_line_each() {
+fn settings_change_at_the_tick_that_is_named_and_leave_one_line_each() {
     let bench = Bench::new();
-    let config = bench.ensemble_config();
+    let config = std::fs::read_to_string(bench.ensemble_config()).unwrap();
+    let config = config.replace("[fuse]\n", "[fuse]\nmin_confidence = 0.02\n");
+    let config = bench.file("confident.toml", &config);
     let map = bench.map(&config);
     let query = bench.recording("query.txt", TICKS, 2);
     let recorded = bench.path("recorded");
@@ -48,11 +50,16 @@ fn length_and_rule_change_at_the_tick_that_is_named_and_leave_one_line_each() {
         (60, "rule median"),
         (110, "length 1"),
         (160, "length 7"),
+        (190, "min_confidence 0.4"),
+        (230, "min_confidence 0"),
     ] {
         assert!(running.read_to(after));
         let (name, value) = what.split_once(' ').unwrap();
         match name {
             "length" => settings.length = value.parse().unwrap(),
+            "min_confidence" => {
+                (settings.min_confidence, settings.sets_min_confidence) = (value.parse().unwrap(), 1);
+            }
             _ => settings.rule = Rule::Median.code(),
         }
         changes.push((set(&bench, &[name, value]), settings));
@@ -75,6 +82,7 @@ fn length_and_rule_change_at_the_tick_that_is_named_and_leave_one_line_each() {
         "lossless delivery has no deadline",
         1,
     );
+    refused(&["set", "min-confidence", "1.5"], "1.5 is not a confidence", 1);
     refused(
         &["set", "--name", "nobody", "length", "3"],
         "no instance named \"nobody\"",
@@ -90,7 +98,8 @@ fn length_and_rule_change_at_the_tick_that_is_named_and_leave_one_line_each() {
         (&status["fuse"]["length"], &status["fuse"]["rule"]),
         (&7.into(), &"median".into())
     );
-    assert_eq!(status["changes"].as_array().unwrap().len(), 4);
+    assert_eq!(status["fuse"]["min_confidence"], 0.0);
+    assert_eq!(status["changes"].as_array().unwrap().len(), changes.len());
     let (answers, said) = running.finish();
     assert_eq!(said.code(), 0, "{}", said.stderr);
     assert_ticks(&answers, TICKS);
@@ -99,11 +108,22 @@ fn length_and_rule_change_at_the_tick_that_is_named_and_leave_one_line_each() {
         let now = changes.iter().rfind(|(from, _)| *from <= tick);
         now.map(|(_, settings)| *settings).unwrap_or_default()
     });
+    let null = |from: u64, to: u64| {
+        let answers = &answers[from as usize..to as usize];
+        answers.iter().filter(|a| a["reason"] == "low confidence").count()
+    };
+    let (raised, lowered) = (changes[4].0, changes[5].0);
+    assert!(null(raised, lowered) > 0, "0.4 is more than some answers have");
+    assert_eq!(null(lowered, TICKS), 0, "any confidence will do");
     let uid = nix::unistd::getuid();
-    for ((from, _), what) in changes
-        .iter()
-        .zip(["length 12", "rule median", "length 1", "length 7"])
-    {
+    for ((from, _), what) in changes.iter().zip([
+        "length 12",
+        "rule median",
+        "length 1",
+        "length 7",
+        "min_confidence 0.4",
+        "min_confidence 0",
+    ]) {
         let audit = said.stderr.lines().filter(|l| {
             l.contains(&format!("uid {uid} pid ")) && l.contains(&format!(": {what} from tick {from} on"))
         });
@@ -301,4 +321,40 @@ fn the_governor_sheds_what_is_slow_and_takes_it_back() {
         "{}",
         said.stderr
     );
+}
+
+#[test]
+fn a_new_deadline_holds_from_the_tick_that_is_named() {
+    const LONG_MS: f64 = 1_500.0;
+    let bench = Bench::new();
+    let config = bench.ensemble_config();
+    let map = bench.map(&config);
+    let query = bench.recording("query.txt", TICKS, 2);
+    // Raw pixels never come in time.
+    bench.delay("extract/raw_pixels", 3_600_000);
+    let more = ["--pace", "1", "--delivery", "latest"];
+    let mut running = Running::start(&bench, &run_args(&config, &query, &map, &more));
+    assert!(running.read_to(5));
+    let from = set(&bench, &["deadline", "1500ms"]);
+    assert!(running.read_to(from + 5));
+    let back = set(&bench, &["deadline", "50ms"]);
+    assert!(running.read_to(back + 3));
+    let status: Value = serde_json::from_str(&bench.run(&["status", "--json"]).stdout).unwrap();
+    assert_eq!(status["fuse"]["deadline_ms"], 50.0);
+    Running::signal(running.pid(), Signal::SIGINT);
+    let (answers, said) = running.finish();
+    assert_eq!(said.code(), 130, "{}", said.stderr);
+    assert_ticks(&answers, answers.len() as u64);
+    let total_ms = |tick: u64| {
+        let answer = &answers[tick as usize];
+        assert!(!answer["missing"].as_object().unwrap().is_empty(), "{answer}");
+        answer["latency_us"]["total"].as_f64().unwrap() / 1e3
+    };
+    assert!(
+        (0..from).any(|tick| total_ms(tick) < LONG_MS),
+        "300 ms, as configured"
+    );
+    for tick in from..back {
+        assert!(total_ms(tick) >= LONG_MS, "tick {tick}: {} ms", total_ms(tick));
+    }
 }

@@ -363,7 +363,12 @@ impl Running {
 
     /// Waits until a line that it logs contains this; false when it ended before.
     pub(crate) fn logs(&self, what: &str) -> bool {
-        self.log.iter().any(|line| line.contains(what))
+        self.line(what).is_some()
+    }
+
+    /// Waits for a line of its log that contains this.
+    pub(crate) fn line(&self, what: &str) -> Option<String> {
+        self.log.iter().find(|line| line.contains(what))
     }
 
     pub(crate) fn pid(&self) -> i32 {

@@ -67,7 +67,7 @@ pub(crate) enum Command {
     Status(InstanceArgs),
     /// The live view of a running instance; members can be switched in it
     Top(TopArgs),
-    /// Change a running instance from the next tick on: sequence length, fusion rule, deadline
+    /// Change a running instance from the next tick on: sequence length, fusion rule, deadline, confidence
     Set(SetArgs),
     /// Record what the processes of a running instance do when, for ui.perfetto.dev
     Trace(TraceArgs),
@@ -270,6 +270,15 @@ pub(crate) struct RunArgs {
     /// Also serve metrics for Prometheus at this address, such as 127.0.0.1:9464, under /metrics
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) metrics: Option<std::net::SocketAddr>,
+    /// Also show the run in a browser, at this address, such as 127.0.0.1:8080
+    #[arg(long, value_name = "ADDRESS")]
+    pub(crate) dashboard: Option<std::net::SocketAddr>,
+    /// Let whoever has the token change members and settings from there; it is printed once, in the page's address
+    #[arg(long, requires = "dashboard")]
+    pub(crate) allow_control: bool,
+    /// The token, in a file, instead of one that is made up and printed
+    #[arg(long, value_name = "FILE", requires = "allow_control")]
+    pub(crate) token_file: Option<PathBuf>,
     /// Also write what every process does when, for ui.perfetto.dev
     #[arg(long, value_name = "FILE")]
     pub(crate) trace: Option<PathBuf>,
@@ -858,6 +867,13 @@ pub(crate) enum Setting {
         /// Such as 300ms
         #[arg(value_name = "DURATION", value_parser = duration)]
         deadline: u64,
+    },
+    /// The least confidence of an answer: below it there is none
+    #[command(alias = "min_confidence")]
+    MinConfidence {
+        /// 0 to 1
+        #[arg(value_name = "CONFIDENCE")]
+        least: f64,
     },
 }
 

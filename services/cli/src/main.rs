@@ -9,6 +9,7 @@ mod chain;
 mod colors;
 mod commands;
 mod comparison;
+mod dashboard;
 mod demo;
 mod failure;
 mod figure;

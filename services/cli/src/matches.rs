@@ -110,6 +110,15 @@ impl MatchLine<'_> {
     }
 }
 
+/// An answer as one line of JSON, without its end.
+pub(crate) fn text(
+    plan: &Plan,
+    header: &MatchHeader,
+    candidates: &[Candidate],
+) -> Result<String, serde_json::Error> {
+    serde_json::to_string(&line(plan, header, candidates))
+}
+
 /// Writes matches to a file or to stdout: as CSV or MCAP where the file's name ends so, else as JSON lines.
 pub(crate) struct MatchWriter {
     name: String,

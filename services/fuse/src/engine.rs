@@ -122,6 +122,7 @@ impl Engine {
         let planned = &self.planned;
         let rule = Rule::from_code(settings.rule, settings.trim).unwrap_or(planned.rule);
         self.ensemble.set_rule(rule);
+        self.min_confidence = settings.min_confidence().unwrap_or(planned.min_confidence);
         let length = match settings.length {
             0 => planned.length,
             length => length as usize,
@@ -228,6 +229,11 @@ impl Engine {
     /// E of the last answered tick.
     pub(crate) fn fused(&self) -> &[f64] {
         self.ensemble.fused()
+    }
+
+    /// Which places E means something of.
+    pub(crate) fn eligible(&self) -> &[bool] {
+        self.ensemble.eligible()
     }
 
     /// S̃ of a member at the last answered tick.

@@ -19,7 +19,6 @@ pub type Clock = Box<dyn Fn() -> u64 + Send>;
 pub type Observer = Box<dyn FnMut(FusedTick<'_>) + Send>;
 
 /// A member's row of a settled tick, as an [`Observer`] sees it.
-#[doc(hidden)]
 #[derive(Debug, Clone, Copy)]
 pub struct FusedMember<'a> {
     /// Index in the plan.
@@ -33,7 +32,6 @@ pub struct FusedMember<'a> {
 }
 
 /// A settled tick, as an [`Observer`] sees it.
-#[doc(hidden)]
 #[derive(Debug)]
 pub struct FusedTick<'a> {
     /// The tick.
@@ -42,6 +40,8 @@ pub struct FusedTick<'a> {
     pub members: &'a [FusedMember<'a>],
     /// E, one value per reference; empty where the tick only builds history.
     pub fused: &'a [f64],
+    /// Which of them mean something: the places that a member had a row for. As long as `fused`.
+    pub eligible: &'a [bool],
 }
 
 /// The fuser: compares each row with the map as soon as it comes, and answers each tick when it is settled.
@@ -193,8 +193,7 @@ impl Fuser {
         }
     }
 
-    /// Shows every settled tick to `observer`, after it was fused and before its answer is sent: for parity tests.
-    #[doc(hidden)]
+    /// Shows every settled tick to `observer`, once its answer has been sent.
     pub fn observe(&mut self, observer: Observer) {
         self.observer = Some(observer);
     }
@@ -245,31 +244,41 @@ impl Fuser {
             lost: settled.lost,
         };
         self.engine.set(&info.fuse);
-        let verdict = self.engine.advance(input, answer);
-        if let Some(observer) = &mut self.observer {
-            let members: Vec<FusedMember<'_>> = rows
-                .iter()
-                .enumerate()
-                .filter_map(|(member, row)| {
-                    row.map(|similarity| FusedMember {
-                        member,
-                        weight: info.weights[member],
-                        similarity,
-                        scores: if answer { self.engine.scores(member) } else { &[] },
-                    })
-                })
-                .collect();
-            let fused = if answer { self.engine.fused() } else { &[] };
-            observer(FusedTick {
-                tick: info.tick,
-                members: &members,
-                fused,
-            });
-        }
-        let verdict = verdict?;
+        let verdict = self.engine.advance(input, answer)?;
         let mut header = self.engine.header(info, verdict, end_codes(&settled.ends));
         set_latencies(&mut header, settled, (self.clock)().max(now_ns));
         Some((header, verdict))
+    }
+
+    /// Shows a settled tick to whoever observes.
+    fn show(&mut self, settled: &Settled<Vec<f64>>, answered: bool) {
+        let Some(observer) = &mut self.observer else {
+            return;
+        };
+        let engine = &self.engine;
+        let ends = settled.ends.iter().enumerate();
+        let members: Vec<FusedMember<'_>> = ends
+            .filter_map(|(member, end)| {
+                let row = used(end)?;
+                Some(FusedMember {
+                    member,
+                    weight: settled.info.weights[member],
+                    similarity: row.value.as_slice(),
+                    scores: if answered { engine.scores(member) } else { &[] },
+                })
+            })
+            .collect();
+        let (fused, eligible) = if answered {
+            (engine.fused(), engine.eligible())
+        } else {
+            (&[][..], &[][..])
+        };
+        observer(FusedTick {
+            tick: settled.info.tick,
+            members: &members,
+            fused,
+            eligible,
+        });
     }
 
     /// Takes the tick's buffers back.
@@ -403,9 +412,11 @@ impl Sink for Fuser {
         while let Some(settled) = self.ledger.settle(now_ns) {
             let fused = self.fuse(&settled, now_ns);
             self.keep(&settled);
+            let answered = fused.is_some();
             if let Some((header, verdict)) = fused {
                 send(&self.engine, header, verdict, outlet)?;
             }
+            self.show(&settled, answered);
             self.recycle(settled);
         }
         match self.problem.take() {

@@ -261,6 +261,8 @@ fn encode(tick: &Keep<'_>, to: &mut Vec<u8>) {
         u64::from(fuse.rule),
         fuse.trim.to_bits(),
         fuse.deadline_ns,
+        fuse.min_confidence.to_bits(),
+        u64::from(fuse.sets_min_confidence),
         u64::from(tick.lost),
         standing.since_start.unwrap_or(u64::MAX),
         standing.blind,
@@ -289,6 +291,9 @@ fn decode(content: &[u8], geometry: Geometry) -> Option<KeptTick> {
         rule: from.u64()? as u32,
         trim: f64::from_bits(from.u64()?),
         deadline_ns: from.u64()?,
+        min_confidence: f64::from_bits(from.u64()?),
+        sets_min_confidence: from.u64()? as u32,
+        _pad: 0,
     };
     let lost = from.u64()? != 0;
     let since_start = Some(from.u64()?).filter(|ticks| *ticks != u64::MAX);
@@ -387,6 +392,9 @@ mod tests {
                     rule: 2,
                     trim: 0.1,
                     deadline_ns: 7,
+                    min_confidence: 0.25,
+                    sets_min_confidence: 1,
+                    _pad: 0,
                 },
             },
             lost: false,

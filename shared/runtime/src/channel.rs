@@ -5,6 +5,7 @@ use crate::clock::now_ns;
 use crate::gate::Gate;
 use crate::run::Identity;
 use crate::telemetry::Activity;
+use crate::watcher::Watchers;
 use crate::{RuntimeError, Stop};
 use evpr_core::Plan;
 use evpr_core::message::{Header, Histogram, Message, Span, SpanKind};
@@ -25,7 +26,8 @@ use std::time::Duration;
 
 /// The flavour of iceoryx2 used throughout: ports may move between threads.
 pub(crate) type Ipc = ipc_threadsafe::Service;
-type DataService<M> = publish_subscribe::PortFactory<Ipc, [<M as Message>::Item], <M as Message>::Header>;
+pub(crate) type DataService<M> =
+    publish_subscribe::PortFactory<Ipc, [<M as Message>::Item], <M as Message>::Header>;
 /// A received message; its slot is given back when this drops.
 pub(crate) type Received<M> = Sample<Ipc, [<M as Message>::Item], <M as Message>::Header>;
 
@@ -56,7 +58,7 @@ impl WakeSender {
     }
 }
 
-fn failed(topic: &Topic, what: &str, error: &dyn std::fmt::Debug) -> RuntimeError {
+pub(crate) fn failed(topic: &Topic, what: &str, error: &dyn std::fmt::Debug) -> RuntimeError {
     RuntimeError::Ipc(format!("channel {topic}: {what}: {error:?}"))
 }
 
@@ -67,9 +69,9 @@ fn service_name(topic: &Topic, suffix: &str) -> Result<ServiceName, RuntimeError
 /// The services behind one channel. Whoever opens them first creates them, with the sizes of the plan.
 #[derive(Debug)]
 pub(crate) struct ChannelServices<M: Message> {
-    channel: Channel,
-    data: DataService<M>,
-    wake: event::PortFactory<Ipc>,
+    pub(crate) channel: Channel,
+    pub(crate) data: Arc<DataService<M>>,
+    pub(crate) wake: event::PortFactory<Ipc>,
     room: event::PortFactory<Ipc>,
 }
 
@@ -104,7 +106,7 @@ impl<M: Message> ChannelServices<M> {
         };
         Ok(Self {
             channel: channel.clone(),
-            data,
+            data: Arc::new(data),
             wake: event("")?,
             room: event("/room")?,
         })
@@ -172,7 +174,11 @@ impl<M: Message> ChannelSender<M> {
         let publisher = match &room {
             Some(room) => {
                 let (flag, room, activity) = (stop.clone(), room.clone(), activity.clone());
-                builder.set_backpressure_handler(move |_| {
+                let watchers = Watchers::<M>::new(services.data.clone());
+                builder.set_backpressure_handler(move |full| {
+                    if watchers.has(full.receiver_port_id) {
+                        return BackpressureAction::DiscardData;
+                    }
                     if flag.count() >= stop_at {
                         return BackpressureAction::DiscardDataAndFail;
                     }
@@ -324,16 +330,22 @@ impl<M: Message> Outlet<M> for ChannelSender<M> {
     }
 }
 
+/// What a reader takes messages from.
+#[derive(Debug)]
+pub(crate) struct Inlet<M: Message> {
+    topic: Topic,
+    subscriber: Subscriber<Ipc, [M::Item], M::Header>,
+    gate: RefCell<Gate>,
+    services: ChannelServices<M>,
+}
+
 /// The receiving end of a channel.
 #[derive(Debug)]
 pub(crate) struct ChannelReceiver<M: Message> {
-    topic: Topic,
-    subscriber: Subscriber<Ipc, [M::Item], M::Header>,
+    inlet: Inlet<M>,
     listener: Listener<Ipc>,
     room: Option<Notifier<Ipc>>,
     reader: EventId,
-    gate: RefCell<Gate>,
-    _services: ChannelServices<M>,
 }
 
 /// A message with what the receiver knows about it.
@@ -355,6 +367,66 @@ impl<M: Message> Incoming<M> {
     }
 }
 
+impl<M: Message> Inlet<M> {
+    /// Subscribes under this name.
+    pub(crate) fn new(
+        services: ChannelServices<M>,
+        plan: &Arc<Plan>,
+        run_id: u64,
+        name: &str,
+    ) -> Result<Self, RuntimeError> {
+        let topic = services.channel.topic.clone();
+        let name = PortName::new(name).map_err(|e| failed(&topic, "bad port name", &e))?;
+        let subscriber = services
+            .data
+            .subscriber_builder()
+            .buffer_size(services.channel.buffer)
+            .name(&name)
+            .create()
+            .map_err(|e| failed(&topic, "cannot subscribe", &e))?;
+        // Connects to the senders there are, so that what is sent from now on comes.
+        subscriber
+            .has_samples()
+            .map_err(|e| failed(&topic, "cannot connect", &e))?;
+        Ok(Self {
+            gate: RefCell::new(Gate::new(run_id, topic.clone(), plan.clone())),
+            topic,
+            subscriber,
+            services,
+        })
+    }
+
+    /// A listener to the channel's wake-ups.
+    pub(crate) fn listener(&self) -> Result<Listener<Ipc>, RuntimeError> {
+        let listener = self.services.wake.listener_builder().create();
+        listener.map_err(|e| failed(&self.topic, "cannot listen", &e))
+    }
+
+    /// Messages that were sent and never came.
+    pub(crate) fn lost(&self) -> u64 {
+        self.gate.borrow().lost
+    }
+
+    /// The next message of this run, if there is one. `received` is told of each that is taken out.
+    pub(crate) fn receive(&self, received: impl Fn()) -> Result<Option<Incoming<M>>, RuntimeError> {
+        loop {
+            let sample = self
+                .subscriber
+                .receive()
+                .map_err(|e| failed(&self.topic, "cannot receive", &e))?;
+            received();
+            let Some(sample) = sample else { return Ok(None) };
+            let port = sample.origin().value();
+            let admitted = self
+                .gate
+                .borrow_mut()
+                .admit::<M>(port, sample.user_header(), sample.payload());
+            let Some(gap) = admitted else { continue };
+            return Ok(Some(Incoming { sample, gap }));
+        }
+    }
+}
+
 impl<M: Message> ChannelReceiver<M> {
     /// `reader` is the number of this process among the readers.
     pub(crate) fn new(
@@ -364,23 +436,9 @@ impl<M: Message> ChannelReceiver<M> {
         reader: u32,
     ) -> Result<Self, RuntimeError> {
         let topic = services.channel.topic.clone();
-        let name = PortName::new(&reader.to_string()).map_err(|e| failed(&topic, "bad port name", &e))?;
-        let subscriber = services
-            .data
-            .subscriber_builder()
-            .buffer_size(services.channel.buffer)
-            .name(&name)
-            .create()
-            .map_err(|e| failed(&topic, "cannot subscribe", &e))?;
-        // Connects to the senders there are, so that a full channel waits for this reader from now on.
-        subscriber
-            .has_samples()
-            .map_err(|e| failed(&topic, "cannot connect", &e))?;
-        let listener = services
-            .wake
-            .listener_builder()
-            .create()
-            .map_err(|e| failed(&topic, "cannot listen", &e))?;
+        let inlet = Inlet::new(services, plan, run_id, &reader.to_string())?;
+        let listener = inlet.listener()?;
+        let services = &inlet.services;
         let room = services
             .channel
             .waits
@@ -389,13 +447,10 @@ impl<M: Message> ChannelReceiver<M> {
             .transpose()
             .map_err(|e| failed(&topic, "cannot notify of room", &e))?;
         Ok(Self {
-            gate: RefCell::new(Gate::new(run_id, topic.clone(), plan.clone())),
-            topic,
-            subscriber,
+            inlet,
             listener,
             room,
             reader: EventId::new(FIRST_READER + reader as usize),
-            _services: services,
         })
     }
 
@@ -406,33 +461,21 @@ impl<M: Message> ChannelReceiver<M> {
 
     /// Messages that were sent and never came.
     pub(crate) fn lost(&self) -> u64 {
-        self.gate.borrow().lost
+        self.inlet.lost()
     }
 
     /// Messages that were not let in (see [`Gate`]).
     pub(crate) fn refused(&self) -> u64 {
-        self.gate.borrow().refused
+        self.inlet.gate.borrow().refused
     }
 
     /// The next message of this run, if there is one.
     pub(crate) fn receive(&self) -> Result<Option<Incoming<M>>, RuntimeError> {
-        loop {
-            let received = self
-                .subscriber
-                .receive()
-                .map_err(|e| failed(&self.topic, "cannot receive", &e))?;
+        self.inlet.receive(|| {
             if let Some(room) = &self.room {
                 let _ = room.notify_with_custom_event_id(self.reader);
             }
-            let Some(sample) = received else { return Ok(None) };
-            let port = sample.origin().value();
-            let admitted = self
-                .gate
-                .borrow_mut()
-                .admit::<M>(port, sample.user_header(), sample.payload());
-            let Some(gap) = admitted else { continue };
-            return Ok(Some(Incoming { sample, gap }));
-        }
+        })
     }
 }
 

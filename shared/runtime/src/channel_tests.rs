@@ -4,6 +4,7 @@ use crate::RunFolder;
 use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc};
 use crate::run::Identity;
 use crate::stop::Stop;
+use crate::watcher::ChannelWatcher;
 use evpr_core::message::{ChunkHeader, Chunks, Event};
 use evpr_core::plan::{Channel, Delivery, Topic, test_plan};
 use evpr_core::stage::{Outlet, StageError};
@@ -188,6 +189,41 @@ fn a_new_sender_waits_until_the_readers_have_connected() {
         }
         assert_eq!(seen, (0..50).map(|tick| (tick, 1, false)).collect::<Vec<_>>());
         assert!(sending.join().unwrap().is_ok());
+    });
+}
+
+#[test]
+fn a_watcher_is_not_waited_for_and_readers_are() {
+    let bench = Bench::new();
+    let (a, b, c) = (bench.node(), bench.node(), bench.node());
+    let channel = channel(Delivery::Lossless);
+    let services = |node| ChannelServices::open(node, &channel).unwrap();
+    let watcher = ChannelWatcher::<Chunks>::new(services(&c), &Arc::new(test_plan()), 7).unwrap();
+    let to = receiver(&b, &channel);
+    std::thread::scope(|scope| {
+        let sending = scope.spawn(|| {
+            let mut from = sender(&a, &channel, &Stop::new(), 1);
+            (0..50)
+                .try_for_each(|tick| send(&mut from, tick, 1))
+                .map(|()| from)
+        });
+        let mut seen = Vec::new();
+        while seen.len() < 50 {
+            seen.extend(drain(&to));
+            std::thread::yield_now();
+        }
+        assert_eq!(seen, (0..50).map(|tick| (tick, 1, false)).collect::<Vec<_>>());
+        // The watcher has what fitted its buffer, and the next message says how much was lost.
+        let mut from = sending.join().unwrap().unwrap();
+        let next = || watcher.receive().unwrap().map(|m| (m.header().tick, m.gap));
+        assert_eq!(
+            [next(), next(), next()],
+            [0, 1, 2].map(|tick| Some((tick, false)))
+        );
+        assert_eq!((next(), watcher.lost()), (None, 0));
+        send(&mut from, 50, 1).unwrap();
+        assert_eq!((next(), watcher.lost()), (Some((50, true)), 47));
+        assert_eq!(drain(&to), [(50, 1, false)]);
     });
 }
 

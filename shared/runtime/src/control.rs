@@ -51,20 +51,41 @@ pub enum ControlRequest {
         rule: Option<String>,
         /// Latest delivery: when an answer is due after its last window closed, ns.
         deadline_ns: Option<u64>,
+        /// The least confidence of an answer, 0 to 1: below it there is none.
+        #[serde(default)]
+        min_confidence: Option<f64>,
     },
 }
 
 pub(crate) use evpr_core::plan::{MAX_DEADLINE_NS, MAX_LENGTH};
 
+/// A request as it goes over the socket.
+#[derive(Debug, Serialize, Deserialize)]
+struct Asking {
+    #[serde(flatten)]
+    request: ControlRequest,
+    /// For whom, where a process asks for somebody else.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    on_behalf_of: Option<String>,
+}
+
 /// Who asks.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Peer {
     pub(crate) uid: u32,
     pub(crate) pid: i32,
+    /// As the process at the other end says.
+    pub(crate) on_behalf_of: Option<String>,
 }
 
 impl std::fmt::Display for Peer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        const LONGEST: usize = 64;
+        if let Some(other) = &self.on_behalf_of {
+            let plain = |c: char| if c.is_ascii_graphic() || c == ' ' { c } else { '?' };
+            let other: String = other.chars().take(LONGEST).map(plain).collect();
+            write!(f, "{other} by ")?;
+        }
         write!(f, "uid {} pid {}", self.uid, self.pid)
     }
 }
@@ -74,7 +95,8 @@ impl std::fmt::Display for Peer {
 pub struct Change {
     /// When it was asked for, ms since 1970.
     pub at_unix_ms: u64,
-    /// Who asked: user and process of whoever was connected to the socket, or `governor`.
+    /// Who asked: user and process of whoever was connected to the socket, with the client that a dashboard asked for;
+    /// or `governor`.
     pub who: String,
     /// What changed.
     pub what: String,
@@ -217,14 +239,19 @@ fn serve(stream: &UnixStream, asked: &Sender<Asked>, wake: &WakeSender) -> std::
     stream.set_read_timeout(Some(PATIENCE))?;
     stream.set_write_timeout(Some(PATIENCE))?;
     let peer = nix::sys::socket::getsockopt(&stream, nix::sys::socket::sockopt::PeerCredentials)?;
-    let peer = Peer {
-        uid: peer.uid(),
-        pid: peer.pid(),
-    };
+    let (uid, pid) = (peer.uid(), peer.pid());
     let mut line = String::new();
     BufReader::new(stream.take(MAX_REQUEST_BYTES)).read_line(&mut line)?;
     let reply = match serde_json::from_str(&line) {
-        Ok(request) => {
+        Ok(Asking {
+            request,
+            on_behalf_of,
+        }) => {
+            let peer = Peer {
+                uid,
+                pid,
+                on_behalf_of,
+            };
             let (reply, answered) = bounded(1);
             let unanswered = || ControlReply::refusal("the instance is stopping".to_owned());
             match asked.send(Asked { request, peer, reply }) {
@@ -249,6 +276,26 @@ fn serve(stream: &UnixStream, asked: &Sender<Asked>, wake: &WakeSender) -> std::
 /// # Errors
 /// When no instance runs there, or it does not answer.
 pub fn request(folder: &RunFolder, request: &ControlRequest) -> Result<ControlReply, RuntimeError> {
+    ask(folder, request, None)
+}
+
+/// Asks the instance of this folder for somebody else, whom the audit line names.
+///
+/// # Errors
+/// As [`request`].
+pub fn request_for(
+    folder: &RunFolder,
+    request: &ControlRequest,
+    who: &str,
+) -> Result<ControlReply, RuntimeError> {
+    ask(folder, request, Some(who.to_owned()))
+}
+
+fn ask(
+    folder: &RunFolder,
+    request: &ControlRequest,
+    on_behalf_of: Option<String>,
+) -> Result<ControlReply, RuntimeError> {
     let path = folder.control_socket();
     let name = folder.path().file_name().unwrap_or_default().to_string_lossy();
     let silent =
@@ -262,11 +309,46 @@ pub fn request(folder: &RunFolder, request: &ControlRequest) -> Result<ControlRe
     stream
         .set_read_timeout(Some(REPLY_TIMEOUT + PATIENCE))
         .map_err(silent)?;
-    let mut text = serde_json::to_string(request).map_err(|e| RuntimeError::Folder(e.to_string()))?;
+    let asking = Asking {
+        request: request.clone(),
+        on_behalf_of,
+    };
+    let mut text = serde_json::to_string(&asking).map_err(|e| RuntimeError::Folder(e.to_string()))?;
     text.push('\n');
     (&mut &stream).write_all(text.as_bytes()).map_err(silent)?;
     let mut line = String::new();
     BufReader::new(&stream).read_line(&mut line).map_err(silent)?;
     serde_json::from_str(&line)
         .map_err(|e| RuntimeError::Folder(format!("the instance \"{name}\" answered nonsense: {e}")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn requests_say_for_whom_and_the_log_stays_one_line() {
+        let asking: Asking = serde_json::from_str("{\"ask\":\"status\"}").unwrap();
+        assert_eq!(
+            (asking.request, asking.on_behalf_of),
+            (ControlRequest::Status, None)
+        );
+        let asking = Asking {
+            request: ControlRequest::List,
+            on_behalf_of: Some("http\n127.0.0.1:5 ".to_owned() + &"x".repeat(100)),
+        };
+        let text = serde_json::to_string(&asking).unwrap();
+        let asking: Asking = serde_json::from_str(&text).unwrap();
+        let peer = Peer {
+            uid: 1,
+            pid: 2,
+            on_behalf_of: asking.on_behalf_of,
+        };
+        let said = peer.to_string();
+        assert!(
+            said.starts_with("http?127.0.0.1:5 xx") && said.ends_with("x by uid 1 pid 2"),
+            "{said}"
+        );
+        assert!(said.len() < 100);
+    }
 }

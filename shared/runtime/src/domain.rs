@@ -61,6 +61,8 @@ pub(crate) struct WantedFuse {
     pub(crate) length: Option<u32>,
     pub(crate) rule: Option<Rule>,
     pub(crate) deadline_ns: Option<u64>,
+    #[serde(default)]
+    pub(crate) min_confidence: Option<f64>,
 }
 
 impl WantedFuse {
@@ -73,6 +75,9 @@ impl WantedFuse {
                 _ => 0.0,
             },
             deadline_ns: self.deadline_ns.unwrap_or(0),
+            min_confidence: self.min_confidence.unwrap_or(0.0),
+            sets_min_confidence: u32::from(self.min_confidence.is_some()),
+            _pad: 0,
         }
     }
 }

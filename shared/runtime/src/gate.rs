@@ -50,7 +50,7 @@ impl Gate {
                 let index = plan.extractors.iter().position(|e| e.id == *id);
                 index.map(|i| plan.extract_service(i))
             }
-            Topic::Matches => plan.fuse_service(),
+            Topic::Matches | Topic::Scores => plan.fuse_service(),
             Topic::Control | Topic::Lifecycle => Some(Stamp::SUPERVISOR as usize),
             Topic::Stats | Topic::Spans => None,
         };

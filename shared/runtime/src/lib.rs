@@ -19,16 +19,19 @@ mod supervise;
 mod telemetry;
 mod trace;
 mod wait;
+mod watcher;
 
 pub use clock::now_ns;
-pub use control::{Change, ControlReply, ControlRequest, MemberState, request};
+pub use control::{Change, ControlReply, ControlRequest, MemberState, request, request_for};
 pub use domain::{RunFolder, RunSpec};
 pub use evpr_core::plan::MAX_LENGTH;
 pub use placement::use_processors;
 pub use profile::{
     FuseStatus, GovernorStatus, LatencyStatus, MemberStatus, Quantiles, ServiceStatus, Status, Times,
 };
-pub use run::{Identity, ServiceContext, run_ingest, run_sink, run_stage};
+pub use run::{
+    Identity, ScoresSender, ServiceContext, Spectator, run_ingest, run_sink, run_stage, run_watcher,
+};
 pub use shm::{ShmRoom, room};
 pub use stop::Stop;
 pub use supervise::{CommandLine, Hooks, Outcome, Progress, RunSummary, ServiceReport, Spawn, Supervisor};

@@ -195,6 +195,9 @@ pub struct FuseStatus {
     pub rule: String,
     /// Latest delivery: when an answer is due after its last window closed, ms.
     pub deadline_ms: f64,
+    /// The least confidence of an answer, 0 to 1: below it there is none.
+    #[serde(default)]
+    pub min_confidence: f64,
 }
 
 /// The latency governor.

@@ -28,16 +28,18 @@ pub(crate) fn member(command: MemberCommand) -> Result<ExitCode, Failure> {
 
 /// `evpr set`.
 pub(crate) fn set(args: SetArgs) -> Result<ExitCode, Failure> {
-    let (mut length, mut rule, mut deadline_ns) = (None, None, None);
+    let (mut length, mut rule, mut deadline_ns, mut min_confidence) = (None, None, None, None);
     match args.setting {
         Setting::Length { ticks } => length = Some(ticks),
         Setting::Rule { rule: name } => rule = Some(name),
         Setting::Deadline { deadline } => deadline_ns = Some(deadline),
+        Setting::MinConfidence { least } => min_confidence = Some(least),
     }
     let request = ControlRequest::Configure {
         length,
         rule,
         deadline_ns,
+        min_confidence,
     };
     ask(&args.instance, &request)
 }

@@ -3,6 +3,7 @@
 use crate::args::{DeliveryArg, GraphRunArgs, RunArgs};
 use crate::catalog;
 use crate::comparison::{Comparison, Verdict};
+use crate::dashboard::DashboardSocket;
 use crate::failure::Failure;
 use crate::kept::{self, KeptRun};
 use crate::matches::{self, MatchWriter};
@@ -62,7 +63,12 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
     if let Some(server) = &metrics {
         tracing::info!("metrics at http://{}/metrics", server.address());
     }
+    let dashboard = DashboardSocket::open(args)?;
     let (plan, kept) = keep(plan, args)?;
+    let plan = Plan {
+        dashboard: dashboard.is_some(),
+        ..plan
+    };
     let outputs = open_matches(&plan, args, kept.as_ref()).map(|writers| Outputs {
         writers,
         trace,
@@ -71,7 +77,14 @@ pub(crate) fn run(args: &RunArgs) -> Result<ExitCode, Failure> {
         ..Outputs::default()
     });
     match outputs {
-        Ok(outputs) => supervise(plan, Outputs { kept, ..outputs }, "matching"),
+        Ok(outputs) => {
+            let outputs = Outputs {
+                kept,
+                dashboard,
+                ..outputs
+            };
+            supervise(plan, outputs, "matching")
+        }
         Err(e) => {
             discard(&plan, kept);
             Err(e)
@@ -160,6 +173,8 @@ pub(crate) struct Outputs {
     pub(crate) trace: Option<TraceWriter>,
     pub(crate) comparison: Option<Comparison>,
     pub(crate) kept: Option<KeptRun>,
+    /// What the plan's dashboard serves at.
+    pub(crate) dashboard: Option<DashboardSocket>,
     /// Where to write what each process took.
     pub(crate) stats: Option<PathBuf>,
     pub(crate) quiet: bool,
@@ -199,14 +214,15 @@ impl Hooks for CliHooks {
 }
 
 /// Runs a plan to its end, with a progress bar, and says what came of it.
-pub(crate) fn supervise(plan: Plan, outputs: Outputs, what: &str) -> Result<ExitCode, Failure> {
+pub(crate) fn supervise(plan: Plan, mut outputs: Outputs, what: &str) -> Result<ExitCode, Failure> {
     let quiet = outputs.quiet;
+    let dashboard = outputs.dashboard.take();
     let mut hooks = CliHooks {
         plan: plan.clone(),
         outputs,
         bar: progress::bar(quiet, what),
     };
-    let summary = run_graph(&plan, quiet, &mut hooks);
+    let summary = run_graph(&plan, quiet, dashboard, &mut hooks);
     hooks.bar.finish_and_clear();
     let Outputs {
         writers,
@@ -289,7 +305,13 @@ fn judge(verdict: &Verdict) -> Result<(), Failure> {
 }
 
 /// Runs the processes of a plan until all have ended. With `quiet_logs` they log only what is degraded or wrong.
-pub(crate) fn run_graph(plan: &Plan, quiet_logs: bool, hooks: &mut dyn Hooks) -> Result<RunSummary, Failure> {
+/// `dashboard` is what the plan's dashboard serves at.
+pub(crate) fn run_graph(
+    plan: &Plan,
+    quiet_logs: bool,
+    dashboard: Option<DashboardSocket>,
+    hooks: &mut dyn Hooks,
+) -> Result<RunSummary, Failure> {
     let folder = RunFolder::of_instance(&plan.name);
     let executable = std::env::current_exe()?;
     let run_folder = folder.path().to_owned();
@@ -300,6 +322,9 @@ pub(crate) fn run_graph(plan: &Plan, quiet_logs: bool, hooks: &mut dyn Hooks) ->
         let mut command = service_command(&executable, launcher, &run_folder, service, spawn);
         if reads_stdin && service.kind == ServiceKind::Ingest {
             command.stdin(Stdio::inherit());
+        }
+        if let (ServiceKind::Dashboard, Some(socket)) = (service.kind, &dashboard) {
+            socket.hand_over(&mut command);
         }
         if quiet_logs && std::env::var_os(LOG_VARIABLE).is_none() {
             command.env(LOG_VARIABLE, QUIET_LOG);

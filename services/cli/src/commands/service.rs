@@ -1,6 +1,7 @@
 //! `evpr service`: one process of a running graph.
 
 use crate::args::ServiceArgs;
+use crate::dashboard;
 use crate::failure::Failure;
 use evpr_core::Plan;
 use evpr_core::plan::{Delivery, ServiceKind, Topic};
@@ -96,12 +97,16 @@ fn work(ctx: ServiceContext, args: &ServiceArgs) -> Result<(), Failure> {
                 let history = evpr_fuse::History::open(&path, &plan, references, run_id)?;
                 fuser = fuser.with_history(&plan, history);
             }
+            if let Some(scores) = ctx.scores()? {
+                fuser.observe(dashboard::observer(scores, plan.members.len()));
+            }
             run_sink(ctx, &mut fuser, true)?;
         }
         ServiceKind::Record => {
             let mut recorder = evpr_record::Recorder::new(&plan, args.incarnation > 1)?;
             run_sink(ctx, &mut recorder, false)?;
         }
+        ServiceKind::Dashboard => dashboard::work(ctx)?,
     }
     Ok(())
 }

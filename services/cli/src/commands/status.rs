@@ -176,10 +176,11 @@ fn print(status: &Status) {
     let f = &status.fuse;
     say!();
     say!(
-        "fuse: length {}, rule {}, deadline {} ms",
+        "fuse: length {}, rule {}, deadline {} ms, least confidence {}",
         f.length,
         f.rule,
-        f.deadline_ms
+        f.deadline_ms,
+        f.min_confidence
     );
     if let Some(g) = &status.governor {
         let p95 = g.p95_ms.map_or("-".to_owned(), |ms| format!("{ms:.1}"));

@@ -109,7 +109,7 @@ pub(crate) fn drive(
     };
     let start = Instant::now();
     signals.at_once.store(false, Ordering::Release);
-    let summary = run_graph(plan, true, &mut watch);
+    let summary = run_graph(plan, true, None, &mut watch);
     signals.at_once.store(true, Ordering::Release);
     watch.bar.finish_and_clear();
     let summary = summary?;

@@ -108,6 +108,7 @@ impl TraceWriter {
             (ServiceKind::Extract, SpanKind::Output) => format!("row {}", member()),
             (ServiceKind::Fuse | ServiceKind::Record, SpanKind::Input) => format!("row {}", member()),
             (ServiceKind::Fuse | ServiceKind::Record, SpanKind::Output) => "answer".to_owned(),
+            (ServiceKind::Dashboard, _) => "look".to_owned(),
         }
     }
 
@@ -124,7 +125,7 @@ impl TraceWriter {
                 .map(|(index, _)| index)
                 .collect(),
             ServiceKind::Extract => vec![span.part],
-            ServiceKind::Fuse | ServiceKind::Record => Vec::new(),
+            ServiceKind::Fuse | ServiceKind::Record | ServiceKind::Dashboard => Vec::new(),
         }
     }
 
@@ -194,7 +195,7 @@ impl TraceWriter {
                 let came = |m: &u32| self.rows.remove(&(span.tick, *m));
                 ("f\",\"bp\":\"e", members.filter(came).collect())
             }
-            ServiceKind::Record => return,
+            ServiceKind::Record | ServiceKind::Dashboard => return,
         };
         let at = us(span.start_ns.midpoint(span.end_ns));
         for member in members {

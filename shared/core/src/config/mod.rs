@@ -416,6 +416,7 @@ impl Config {
             record: overrides.record.clone(),
             record_rows: self.record_rows,
             record_events: None,
+            dashboard: false,
         })
     }
 }

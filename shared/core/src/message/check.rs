@@ -3,11 +3,11 @@
 
 use super::{
     Candidate, ChannelOrder, ChunkHeader, ControlHeader, DescriptorHeader, Event, FrameHeader, FuseSettings,
-    LifecycleHeader, MatchHeader, MemberCost, MemberSetting, ServiceHealth, ServicePhase, ServiceState, Span,
-    SpanKind, SpansHeader, Stamp, StatsHeader, TickHeader, TickKind,
+    LifecycleHeader, MatchHeader, MemberCost, MemberSetting, ScoresHeader, ServiceHealth, ServicePhase,
+    ServiceState, Span, SpanKind, SpansHeader, Stamp, StatsHeader, TickHeader, TickKind,
 };
 use crate::member::{MAX_MEMBERS, MemberSet, Reason};
-use crate::plan::{MAX_DEADLINE_NS, MAX_LENGTH, Plan};
+use crate::plan::{MAX_DEADLINE_NS, MAX_LENGTH, Plan, SCORE_COLUMNS};
 
 /// Ticks below this exist: at ten per second, nine hundred thousand years of them.
 pub const MAX_TICK: u64 = 1 << 48;
@@ -47,7 +47,11 @@ fn of_the_plan(members: &MemberSet, plan: &Plan) -> Checked {
 }
 
 fn settings(fuse: &FuseSettings) -> Checked {
-    let sound = fuse.length <= MAX_LENGTH && fuse.deadline_ns <= MAX_DEADLINE_NS && fuse.trim.is_finite();
+    let sound = fuse.length <= MAX_LENGTH
+        && fuse.deadline_ns <= MAX_DEADLINE_NS
+        && fuse.trim.is_finite()
+        && (0.0..=1.0).contains(&fuse.min_confidence)
+        && fuse.sets_min_confidence <= 1;
     that(sound, "the fuser's settings are out of range")
 }
 
@@ -129,6 +133,21 @@ pub(super) fn tick(plan: &Plan, header: &TickHeader, weights: &[f64]) -> Checked
     that(
         weights.iter().all(|w| w.is_finite() && *w >= 0.0),
         "a weight is no weight",
+    )
+}
+
+pub(super) fn scores(plan: &Plan, header: &ScoresHeader, values: &[f32]) -> Checked {
+    let fuse = plan.fuse_service().ok_or("the plan has no fuser")?;
+    sent_by(&header.stamp, fuse)?;
+    tick_exists(header.tick)?;
+    let columns = header.columns as usize;
+    that(
+        columns <= SCORE_COLUMNS && u64::from(header.columns) <= header.references,
+        "it has more columns than there can be",
+    )?;
+    that(
+        values.len() == columns + plan.members.len(),
+        "its payload is not as long as it should be",
     )
 }
 

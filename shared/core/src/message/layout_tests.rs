@@ -21,11 +21,11 @@ fn layouts_are_as_published() {
         height: 108, width: 112, channel_order: 116, reason: 120, extractors: 124);
     layout!(DescriptorHeader, 120,  stamp: 0, tick: 40, life: 48, epoch: 88, member: 92, reason: 96, dim: 100,
         reconstruct_service: 104, reconstruct_incarnation: 108, together: 112);
-    layout!(TickHeader, 160,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, east_m: 72, north_m: 80,
-        control_version: 88, members: 96, fuse: 128, epoch: 152, kind: 156);
-    layout!(FuseSettings, 24, length: 0, rule: 4, trim: 8, deadline_ns: 16);
+    layout!(TickHeader, 176,  stamp: 0, tick: 40, start_us: 48, end_us: 56, closed_ns: 64, east_m: 72, north_m: 80,
+        control_version: 88, members: 96, fuse: 128, epoch: 168, kind: 172);
+    layout!(FuseSettings, 40, length: 0, rule: 4, trim: 8, deadline_ns: 16, min_confidence: 24, sets_min_confidence: 32);
     layout!(MemberSetting, 16, weight: 0, enabled: 8, unload: 12);
-    layout!(ControlHeader, 72,  stamp: 0, version: 40, fuse: 48);
+    layout!(ControlHeader, 88,  stamp: 0, version: 40, fuse: 48);
     layout!(ServiceState, 16, incarnation: 0, dead_through: 4, health: 8);
     layout!(LifecycleHeader, 48,  stamp: 0, version: 40);
     layout!(Candidate, 16, score: 0, reference: 8);
@@ -40,6 +40,7 @@ fn layouts_are_as_published() {
     layout!(MemberCost, 24, rows: 0, reconstruct_ns: 8, extract_ns: 16);
     layout!(Span, 48, sent_ns: 0, start_ns: 8, end_ns: 16, tick: 24, closed_ns: 32, kind: 40, part: 44);
     layout!(SpansHeader, 40, stamp: 0);
+    layout!(ScoresHeader, 64, stamp: 0, tick: 40, references: 48, columns: 56);
 }
 
 #[test]

@@ -31,10 +31,10 @@ impl TickKind {
     }
 }
 
-/// What of the fuser's settings changes while it runs. 0 stands for what the plan says.
+/// What of the fuser's settings changes while it runs. 0 stands for what the plan says, but of the least confidence.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend, Serialize, Deserialize)]
-#[type_name("evpr.FuseSettings.1")]
+#[type_name("evpr.FuseSettings.2")]
 pub struct FuseSettings {
     /// Sequence length, ticks.
     pub length: u32,
@@ -44,12 +44,26 @@ pub struct FuseSettings {
     pub trim: f64,
     /// Latest delivery: the answer is due this long after the tick's last window closed, ns.
     pub deadline_ns: u64,
+    /// The least confidence of an answer, 0 to 1, where `sets_min_confidence` is 1.
+    pub min_confidence: f64,
+    /// 1 where `min_confidence` counts, 0 where the plan's does.
+    pub sets_min_confidence: u32,
+    /// Unused.
+    pub _pad: u32,
+}
+
+impl FuseSettings {
+    /// The least confidence, if it has been changed.
+    pub fn min_confidence(&self) -> Option<f64> {
+        (self.sets_min_confidence == 1 && (0.0..=1.0).contains(&self.min_confidence))
+            .then_some(self.min_confidence)
+    }
 }
 
 /// Header of a tick message.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("evpr.TickHeader.3")]
+#[type_name("evpr.TickHeader.4")]
 pub struct TickHeader {
     /// Sender and sequence.
     pub stamp: Stamp,
@@ -136,7 +150,7 @@ pub struct MemberSetting {
 /// Header of a control message: the whole wanted state, newest version wins.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, ZeroCopySend)]
-#[type_name("evpr.ControlHeader.2")]
+#[type_name("evpr.ControlHeader.3")]
 pub struct ControlHeader {
     /// Sender and sequence.
     pub stamp: Stamp,

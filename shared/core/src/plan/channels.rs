@@ -3,7 +3,8 @@
 use super::{Delivery, Pace, Plan};
 use crate::message::{
     Candidate, ChunkHeader, ControlHeader, DescriptorHeader, Event, FrameHeader, LifecycleHeader,
-    MatchHeader, MemberCost, MemberSetting, ServiceState, Span, SpansHeader, StatsHeader, TickHeader,
+    MatchHeader, MemberCost, MemberSetting, ScoresHeader, ServiceState, Span, SpansHeader, StatsHeader,
+    TickHeader,
 };
 
 /// A channel's name.
@@ -27,6 +28,8 @@ pub enum Topic {
     Stats,
     /// What every process does when, to whoever makes a trace.
     Spans,
+    /// What the fuser made of a tick, to the dashboard.
+    Scores,
 }
 
 impl std::fmt::Display for Topic {
@@ -41,6 +44,7 @@ impl std::fmt::Display for Topic {
             Topic::Lifecycle => write!(f, "lifecycle"),
             Topic::Stats => write!(f, "stats"),
             Topic::Spans => write!(f, "spans"),
+            Topic::Scores => write!(f, "scores"),
         }
     }
 }
@@ -89,6 +93,8 @@ impl Channel {
 pub(super) const LOANED: usize = 1;
 /// Most spans in one message.
 pub const SPANS_AT_ONCE: usize = 128;
+/// Most shares that the places of the map are in, in [`Topic::Scores`].
+pub const SCORE_COLUMNS: usize = 512;
 /// Observers and restarting processes, beyond the planned subscribers.
 const SPARE_SUBSCRIBERS: usize = 2;
 /// A restarted process may come before its dead forerunner is cleaned up; bridges take one too.
@@ -111,6 +117,7 @@ impl Plan {
     pub fn channels(&self) -> Vec<Channel> {
         let lossless = self.delivery == Delivery::Lossless;
         let sinks = usize::from(self.map.is_some()) + usize::from(self.record.is_some());
+        let watchers = usize::from(self.dashboard);
         let stages = self.reconstructions.len() + self.extractors.len();
         let windows = self.slicing.windows.len();
         let mut all = Vec::new();
@@ -153,7 +160,7 @@ impl Plan {
                 1,
                 header,
                 1,
-                self.extractors.len(),
+                self.extractors.len() + watchers,
                 buffer,
                 lossless,
             );
@@ -195,13 +202,31 @@ impl Plan {
             let (header, item) = (size_of::<MatchHeader>(), size_of::<Candidate>());
             // Also in latest delivery: an answer that has been made is not lost. A reader of matches that is more than
             // 64 ticks behind holds the fuser up, and ticks are then dropped, and named, before it.
-            add(Topic::Matches, self.fuse.top.max(1), item, header, 1, 1, 64, true);
+            add(
+                Topic::Matches,
+                self.fuse.top.max(1),
+                item,
+                header,
+                1,
+                1 + watchers,
+                64,
+                true,
+            );
         }
         let (header, item) = (size_of::<ControlHeader>(), size_of::<MemberSetting>());
         add(Topic::Control, members, item, header, 1, 1 + stages, 4, false);
         let services = self.services().len();
         let (header, item) = (size_of::<LifecycleHeader>(), size_of::<ServiceState>());
-        add(Topic::Lifecycle, services, item, header, 1, sinks, 4, false);
+        add(
+            Topic::Lifecycle,
+            services,
+            item,
+            header,
+            1,
+            sinks + watchers,
+            4,
+            false,
+        );
         add(
             Topic::Stats,
             members,
@@ -214,6 +239,19 @@ impl Plan {
         );
         let (header, item) = (size_of::<SpansHeader>(), size_of::<Span>());
         add(Topic::Spans, SPANS_AT_ONCE, item, header, services, 0, 16, false);
+        if self.dashboard && self.map.is_some() {
+            let (items, header) = (SCORE_COLUMNS + self.members.len(), size_of::<ScoresHeader>());
+            add(
+                Topic::Scores,
+                items,
+                size_of::<f32>(),
+                header,
+                1,
+                watchers,
+                16,
+                false,
+            );
+        }
         all
     }
 

@@ -13,7 +13,7 @@ mod slicing;
 mod source;
 mod supervision;
 
-pub use channels::{Channel, SPANS_AT_ONCE, Topic};
+pub use channels::{Channel, SCORE_COLUMNS, SPANS_AT_ONCE, Topic};
 pub use frames::{FRAMES, FrameSource, FrameTicks, OnOtherSize, StackOrder};
 pub use fuse::{
     Filter, Fuse, MAX_DEADLINE_NS, MAX_LENGTH, Rule, SeqSlam, SequenceMethod, Similarity, Transition,
@@ -255,6 +255,9 @@ pub struct Plan {
     /// The tape of events that ingest writes, if it writes one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub record_events: Option<PathBuf>,
+    /// Whether the graph has a dashboard.
+    #[serde(default)]
+    pub dashboard: bool,
 }
 
 /// The latency governor: sheds members where window-close → answer takes longer than the budget, and takes them back.
@@ -282,6 +285,8 @@ pub enum ServiceKind {
     Fuse,
     /// Writes a traverse.
     Record,
+    /// Shows the run to whoever opens its page.
+    Dashboard,
 }
 
 impl ServiceKind {
@@ -293,6 +298,7 @@ impl ServiceKind {
             ServiceKind::Extract => "extract",
             ServiceKind::Fuse => "fuse",
             ServiceKind::Record => "record",
+            ServiceKind::Dashboard => "dashboard",
         }
     }
 }
@@ -304,7 +310,7 @@ pub struct Service {
     pub kind: ServiceKind,
     /// Index among the plan's reconstructions or extractors; 0 for the others.
     pub index: usize,
-    /// `ingest`, `reconstruct/event_count`, `extract/mixvpr`, `fuse`, `record`.
+    /// `ingest`, `reconstruct/event_count`, `extract/mixvpr`, `fuse`, `record`, `dashboard`.
     pub name: String,
 }
 
@@ -329,6 +335,9 @@ impl Plan {
         if self.record.is_some() {
             all.push(service(ServiceKind::Record, 0, None));
         }
+        if self.dashboard {
+            all.push(service(ServiceKind::Dashboard, 0, None));
+        }
         all
     }
 
@@ -349,6 +358,7 @@ impl Plan {
                 .is_some_and(|r| r.optional),
             ServiceKind::Extract => self.extractors.get(service.index).is_some_and(|e| e.optional),
             ServiceKind::Ingest | ServiceKind::Fuse | ServiceKind::Record => false,
+            ServiceKind::Dashboard => true,
         }
     }
 
@@ -363,7 +373,7 @@ impl Plan {
                 .extractors
                 .get(service.index)
                 .is_some_and(|e| e.network.is_some()),
-            ServiceKind::Ingest | ServiceKind::Fuse | ServiceKind::Record => false,
+            ServiceKind::Ingest | ServiceKind::Fuse | ServiceKind::Record | ServiceKind::Dashboard => false,
         }
     }
 
@@ -504,5 +514,6 @@ pub fn test_plan() -> Plan {
         record: None,
         record_rows: RowType::F32,
         record_events: None,
+        dashboard: false,
     }
 }

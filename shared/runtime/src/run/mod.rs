@@ -3,10 +3,12 @@
 mod ingest;
 mod sink;
 mod stage;
+mod watch;
 
 pub use ingest::run_ingest;
 pub use sink::run_sink;
 pub use stage::run_stage;
+pub use watch::{ScoresSender, Spectator, run_watcher};
 
 use crate::RuntimeError;
 use crate::channel::{ChannelReceiver, ChannelSender, ChannelServices, Ipc};
@@ -114,6 +116,24 @@ impl ServiceContext {
     /// The stop flag, raised by SIGTERM and SIGINT.
     pub fn stop(&self) -> &Stop {
         &self.stop
+    }
+
+    /// The folder of the run.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// The way of the fuser's scores to whoever watches; none in a graph that nobody watches.
+    ///
+    /// # Errors
+    /// When shared memory fails.
+    pub fn scores(&self) -> Result<Option<ScoresSender>, RuntimeError> {
+        let Some(channel) = self.plan.channel(&Topic::Scores) else {
+            return Ok(None);
+        };
+        let services = ChannelServices::open(&self.node, &channel)?;
+        let sender = ChannelSender::new(services, self.identity, &self.stop, 1, Arc::default())?;
+        Ok(Some(ScoresSender::new(sender)))
     }
 
     fn services<M: Message>(&self, topic: &Topic) -> Result<ChannelServices<M>, RuntimeError> {

@@ -1,7 +1,7 @@
 //! The supervisor: tells the policy what happens, and does what it says.
 
 use super::members::Members;
-use super::policy::{Action, Event, Level, Part, Policy, Rules, Start, State, Told};
+use super::policy::{Action, Event, Exit, Level, Part, Policy, Rules, Start, State, Told};
 use super::ports::Ports;
 use super::process::Process;
 use super::profile::Profile;
@@ -311,12 +311,23 @@ impl Supervisor {
             answer_from: start.answer_from,
             end_tick: start.end_tick,
         };
+        let name = process.service.name.clone();
         let mut command = (self.command)(&process.service, &spawn);
-        let child = command.spawn().map_err(|e| {
-            let (name, program) = (&process.service.name, command.get_program().display());
-            RuntimeError::Process(format!("cannot start {name} as {program}: {e}"))
-        })?;
-        process.child = Some(child);
+        match command.spawn() {
+            Ok(child) => process.child = Some(child),
+            Err(e) => {
+                let line = format!("cannot start {name} as {}: {e}", command.get_program().display());
+                if !self.plan.is_optional(&process.service) {
+                    return Err(RuntimeError::Process(line));
+                }
+                warn!("{line}");
+                return self.tell(Event::Ended {
+                    service: start.service,
+                    exit: Exit::Failed,
+                    status: e.to_string(),
+                });
+            }
+        }
         Ok(())
     }
 

@@ -2,6 +2,7 @@
 
 use crate::control::{Asked, Change, ControlReply, ControlRequest, MAX_DEADLINE_NS, MAX_LENGTH, MemberState};
 use crate::domain::{Schedule, Settings};
+use crate::profile::FuseStatus;
 use crossbeam::channel::Sender;
 use evpr_core::Plan;
 use evpr_core::plan::{Delivery, Fuse, Rule};
@@ -82,14 +83,15 @@ impl Members {
         self.names.get(member).map_or("?", String::as_str)
     }
 
-    /// The sequence length, the rule and the deadline that are wanted now.
-    pub(super) fn fuse(&self) -> (u32, Rule, u64) {
+    /// The fuser's settings that are wanted now.
+    pub(super) fn fuse(&self) -> FuseStatus {
         let fuse = &self.settings.fuse;
-        (
-            fuse.length.unwrap_or(self.planned.length as u32),
-            fuse.rule.unwrap_or(self.planned.rule),
-            fuse.deadline_ns.unwrap_or(self.deadline_ns),
-        )
+        FuseStatus {
+            length: fuse.length.unwrap_or(self.planned.length as u32),
+            rule: fuse.rule.unwrap_or(self.planned.rule).name().to_owned(),
+            deadline_ms: fuse.deadline_ns.unwrap_or(self.deadline_ns) as f64 / 1e6,
+            min_confidence: fuse.min_confidence.unwrap_or(self.planned.min_confidence),
+        }
     }
 
     /// The newest changes, oldest first; those that wait for their tick come last.
@@ -165,8 +167,9 @@ impl Members {
                 length,
                 rule,
                 deadline_ns,
+                min_confidence,
             } => self
-                .configure(*length, rule.as_deref(), *deadline_ns)
+                .configure(*length, rule.as_deref(), *deadline_ns, *min_confidence)
                 .map(|what| (what, Vec::new())),
         }
     }
@@ -176,6 +179,7 @@ impl Members {
         length: Option<u32>,
         rule: Option<&str>,
         deadline_ns: Option<u64>,
+        min_confidence: Option<f64>,
     ) -> Result<String, String> {
         let mut fuse = self.settings.fuse;
         let mut what = Vec::new();
@@ -216,6 +220,13 @@ impl Members {
             }
             fuse.deadline_ns = Some(ns);
             what.push(format!("deadline {} ms", ns as f64 / 1e6));
+        }
+        if let Some(least) = min_confidence {
+            if !(0.0..=1.0).contains(&least) {
+                return Err(format!("{least} is not a confidence; give a number from 0 to 1"));
+            }
+            fuse.min_confidence = Some(least);
+            what.push(format!("min_confidence {least}"));
         }
         if what.is_empty() {
             return Err("there is nothing to change".to_owned());
@@ -360,6 +371,14 @@ mod tests {
     use crossbeam::channel::{Receiver, bounded};
     use evpr_core::plan::test_plan;
 
+    fn peer() -> Peer {
+        Peer {
+            uid: 1,
+            pid: 2,
+            on_behalf_of: None,
+        }
+    }
+
     fn set(members: &mut Members, enabled: bool) -> Receiver<ControlReply> {
         let (reply, answer) = bounded(1);
         let request = ControlRequest::Set {
@@ -368,7 +387,7 @@ mod tests {
             weight: None,
             unload: false,
         };
-        let peer = Peer { uid: 1, pid: 2 };
+        let peer = peer();
         let handled = members.handle(Asked { request, peer, reply }, Instant::now());
         assert!(matches!(handled, Handled::Changed(_)));
         answer
@@ -402,7 +421,7 @@ mod tests {
 
     fn ask(members: &mut Members, request: ControlRequest) -> Result<(), String> {
         let (reply, answer) = bounded(1);
-        let peer = Peer { uid: 1, pid: 2 };
+        let peer = peer();
         match members.handle(Asked { request, peer, reply }, Instant::now()) {
             Handled::Changed(_) => Ok(()),
             Handled::Answered => Err(answer.try_recv().unwrap().error.unwrap()),
@@ -417,6 +436,13 @@ mod tests {
             length,
             rule: rule.map(str::to_owned),
             deadline_ns,
+            min_confidence: None,
+        };
+        let confident = |least| ControlRequest::Configure {
+            length: None,
+            rule: None,
+            deadline_ns: None,
+            min_confidence: Some(least),
         };
         let set = |members: &[&str], enabled, weight, unload| ControlRequest::Set {
             members: members.iter().map(|m| (*m).to_owned()).collect(),
@@ -433,6 +459,9 @@ mod tests {
                 "no rule \"best\"; there are sum, mean",
             ),
             (configure(None, None, Some(1)), "no deadline"),
+            (confident(1.1), "1.1 is not a confidence"),
+            (confident(-0.1), "not a confidence"),
+            (confident(f64::NAN), "not a confidence"),
             (set(&[], Some(true), None, false), "at least one"),
             (
                 set(&["all", "b@1ms/y"], Some(true), None, false),
@@ -452,7 +481,8 @@ mod tests {
         );
         assert_eq!(members.settings.fuse, Default::default());
         ask(&mut members, configure(Some(20), Some("median"), None)).unwrap();
-        assert_eq!((members.fuse().0, members.fuse().1), (20, Rule::Median));
+        let fuse = members.fuse();
+        assert_eq!((fuse.length, fuse.rule.as_str()), (20, "median"));
         members.opened(4, 1);
         let change = members.changes().pop().unwrap();
         assert_eq!(

@@ -7,7 +7,7 @@ use crate::{RuntimeError, Stop};
 use evpr_core::Plan;
 use evpr_core::message::{
     Chunks, Control, ControlHeader, Descriptors, Frames, Lifecycle, LifecycleHeader, Matches, Message,
-    ServiceState, Spans, Stats, Ticks,
+    Scores, ServiceState, Spans, Stats, Ticks,
 };
 use evpr_core::plan::Topic;
 use evpr_core::stage::Outlet;
@@ -63,6 +63,9 @@ impl Ports {
         for e in &plan.extractors {
             let topic = Topic::Descriptors(e.id.clone());
             held.push(Box::new(hold::<Descriptors>(node, plan, &topic)?));
+        }
+        if plan.channel(&Topic::Scores).is_some() {
+            held.push(Box::new(hold::<Scores>(node, plan, &Topic::Scores)?));
         }
         let shared = Arc::new(plan.clone());
         let matches = if plan.map.is_some() {

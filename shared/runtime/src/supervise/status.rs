@@ -3,7 +3,7 @@
 use super::Progress;
 use super::graph::Supervisor;
 use super::policy::State;
-use crate::profile::{FuseStatus, GovernorStatus, Status};
+use crate::profile::{GovernorStatus, Status};
 use evpr_core::plan::{Delivery, ServiceKind};
 
 impl Supervisor {
@@ -49,14 +49,7 @@ impl Supervisor {
             refused: self.ports.refused(),
             services: self.profile.services(&self.processes, self.policy.lives()),
             members: self.profile.members(self.members.states(), &self.processes),
-            fuse: {
-                let (length, rule, deadline_ns) = self.members.fuse();
-                FuseStatus {
-                    length,
-                    rule: rule.name().to_owned(),
-                    deadline_ms: deadline_ns as f64 / 1e6,
-                }
-            },
+            fuse: self.members.fuse(),
             governor: self.governor.as_ref().map(|governor| GovernorStatus {
                 budget_ms: governor.budget_ns() as f64 / 1e6,
                 p95_ms: governor.p95_ns().map(|ns| ns as f64 / 1e6),

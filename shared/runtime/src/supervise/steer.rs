@@ -15,7 +15,7 @@ impl Supervisor {
         if self.plan.delivery == Delivery::Latest {
             return 0;
         }
-        let longest = self.plan.fuse.length.max(self.members.fuse().0 as usize);
+        let longest = self.plan.fuse.length.max(self.members.fuse().length as usize);
         let fuse = Fuse {
             length: longest,
             ..self.plan.fuse.clone()

@@ -7,13 +7,23 @@ use nix::sys::signal::Signal;
 
 /// Time that a process has to end after SIGTERM.
 const EXIT_NS: u64 = 10 * SECOND;
-const ORDER: [ServiceKind; 5] = [
+/// The same for a dashboard, which has nothing to finish.
+const DASHBOARD_EXIT_NS: u64 = 2 * SECOND;
+const ORDER: [ServiceKind; 6] = [
     ServiceKind::Ingest,
     ServiceKind::Reconstruct,
     ServiceKind::Extract,
     ServiceKind::Fuse,
     ServiceKind::Record,
+    ServiceKind::Dashboard,
 ];
+
+fn patience_ns(kind: Option<&ServiceKind>) -> u64 {
+    match kind {
+        Some(ServiceKind::Dashboard) => DASHBOARD_EXIT_NS,
+        _ => EXIT_NS,
+    }
+}
 
 /// Where the ending stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,7 +69,10 @@ impl Policy {
 
     /// It is the turn of the next kind.
     fn turn(&mut self, now_ns: u64, turn: usize, unasked: bool) {
-        let patience_ns = if self.stop_requests > 1 { 0 } else { EXIT_NS };
+        let patience_ns = match self.stop_requests {
+            0 | 1 => patience_ns(ORDER.get(turn)),
+            _ => 0,
+        };
         self.state = State::Ending(Ending {
             turn,
             kill_at_ns: Some(now_ns + patience_ns),
@@ -107,7 +120,7 @@ impl Policy {
                 continue;
             }
             if self.stop_requests < 2 {
-                let seconds = EXIT_NS / SECOND;
+                let seconds = patience_ns(Some(&kind)) / SECOND;
                 let line = format!("{} did not end within {seconds} s and is killed", life.name);
                 self.actions.push(Action::Say(Level::Warn, line));
             }

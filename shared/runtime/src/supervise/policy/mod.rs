@@ -213,13 +213,15 @@ impl Policy {
         let life = &mut self.lives[index];
         life.health = ServiceHealth::Up;
         let back = std::mem::take(&mut life.died);
-        let (sink, again, name) = (life.is_sink(), life.incarnation > 1, life.name.clone());
+        let (kind, sink, again) = (life.kind, life.is_sink(), life.incarnation > 1);
+        let name = life.name.clone();
         if back {
             self.say(Level::Info, format!("{name} is back"));
         }
-        if sink {
+        if sink || back || kind == ServiceKind::Dashboard {
             self.actions.push(Action::TellStates);
-        } else {
+        }
+        if !sink {
             self.actions.push(Action::TellSettings);
         }
         let under_way = matches!(self.state, State::Running | State::Draining { .. });
@@ -264,7 +266,7 @@ impl Policy {
         life.running = false;
         let name = life.name.clone();
         if let State::Ending(ending) = self.state {
-            self.failed |= exit == Exit::Failed;
+            self.failed |= exit == Exit::Failed && !life.optional;
             if exit == Exit::Died && !ending.has_killed() {
                 self.say(Level::Warn, format!("{name} ended badly ({status})"));
             }
@@ -405,7 +407,9 @@ impl Policy {
             _ if self.stop_requests > 1 => self.end(now_ns),
             State::Starting if stop => self.end(now_ns),
             State::Starting => {
-                let mut others = self.lives.iter().filter(|l| l.kind != ServiceKind::Ingest);
+                // Ingest is the one that is held back, and nobody waits for a dashboard.
+                let awaited = |l: &&Life| !matches!(l.kind, ServiceKind::Ingest | ServiceKind::Dashboard);
+                let mut others = self.lives.iter().filter(awaited);
                 if others.all(Life::is_settled) {
                     self.state = State::Running;
                     self.send_ingest_back(now_ns);

@@ -7,7 +7,7 @@ use evpr_core::plan::Supervision;
 use proptest::prelude::*;
 use std::collections::VecDeque;
 
-const KINDS: [(ServiceKind, bool); 7] = [
+const KINDS: [(ServiceKind, bool); 8] = [
     (ServiceKind::Ingest, false),
     (ServiceKind::Reconstruct, false),
     (ServiceKind::Reconstruct, true),
@@ -15,10 +15,12 @@ const KINDS: [(ServiceKind, bool); 7] = [
     (ServiceKind::Extract, true),
     (ServiceKind::Fuse, false),
     (ServiceKind::Record, false),
+    (ServiceKind::Dashboard, true),
 ];
 const BUDGET_DEATHS: usize = 10;
 const INGEST: usize = 0;
 const SINKS: [usize; 2] = [5, 6];
+const DASHBOARD: usize = 7;
 
 /// What happens to the graph.
 #[derive(Debug, Clone)]
@@ -374,11 +376,37 @@ fn ready(world: &mut World) {
 #[test]
 fn ingest_is_started_when_everybody_else_is_ready() {
     let mut world = World::new(true);
-    for service in 1..KINDS.len() {
+    for service in 1..DASHBOARD {
         assert_eq!(world.children[INGEST].runs, None);
         world.happens(&Fate::Tells(service, ServicePhase::Ready));
     }
-    assert_eq!(world.children[INGEST].runs, Some(1));
+    assert_eq!(
+        world.children[INGEST].runs,
+        Some(1),
+        "nobody waits for a dashboard"
+    );
+}
+
+#[test]
+fn a_dashboard_ends_last_and_ends_no_run() {
+    let mut world = World::new(true);
+    ready(&mut world);
+    world.happens(&Fate::Ends(DASHBOARD, Exit::Died));
+    world.happens(&Fate::Tells(DASHBOARD, ServicePhase::Ready));
+    assert_eq!(world.policy.lives()[DASHBOARD].restarts, 1);
+    world.happens(&Fate::Ends(DASHBOARD, Exit::Clean));
+    assert_eq!(
+        world.policy.lives()[DASHBOARD].restarts,
+        2,
+        "nobody had asked it to end"
+    );
+    // The second time, it waits a little before the next start.
+    world.happens(&Fate::Waits(1_000));
+    world.happens(&Fate::Ends(DASHBOARD, Exit::Failed));
+    assert_eq!(world.policy.lives()[DASHBOARD].health, ServiceHealth::Down);
+    assert_eq!(world.policy.state(), State::Running);
+    world.comes_to_its_end();
+    assert!(!world.policy.has_failed());
 }
 
 #[test]
