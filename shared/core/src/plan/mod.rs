@@ -395,8 +395,9 @@ impl Plan {
 
     /// How many services [`Plan::services`] lists.
     pub fn service_count(&self) -> usize {
-        let sinks = usize::from(self.map.is_some()) + usize::from(self.record.is_some());
-        1 + self.reconstructions.len() + self.extractors.len() + sinks
+        let others = [self.map.is_some(), self.record.is_some(), self.dashboard];
+        let others: usize = others.into_iter().map(usize::from).sum();
+        1 + self.reconstructions.len() + self.extractors.len() + others
     }
 
     /// The member with these parts, if the plan has it.

@@ -56,4 +56,13 @@ mod tests {
         assert_eq!(cpu("reconstruct/b"), Some(2));
         assert_eq!(cpu("ingest"), None);
     }
+
+    #[test]
+    fn services_are_as_many_as_are_counted() {
+        let mut plan = test_plan();
+        for dashboard in [false, true] {
+            plan.dashboard = dashboard;
+            assert_eq!(plan.services().len(), plan.service_count());
+        }
+    }
 }
